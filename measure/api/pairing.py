@@ -126,9 +126,12 @@ def simulate_dataset(
     restarts: int,
     seed: int,
     wear: float,
+    exact: bool,
     report: Report,
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     """A data set of the simulated RAVEN-II, written to `out`; pairs at the paper's rate if omitted.
+
+    Its labels are measured with noise on a clock that must be found, or `exact`.
 
     Raises:
         ConfigError: a length, a count, a seed or a wear that makes no data, or `out` cannot be
@@ -152,9 +155,11 @@ def simulate_dataset(
         restarts=restarts,
         seed=seed,
         cables=Cables(wear=wear),
+        exact=exact,
         report=report,
     )
     source = f"simulated RAVEN-II, {minutes:g} min, {restarts} restarts, seed {seed}, wear {wear:g}"
+    source += ", true positions" if exact else ""
     files.write_dataset(out, data, facts, source)
     return data, facts
 

@@ -51,6 +51,7 @@ class _SimulationOptions:
         restarts: simulated: sessions, each after a restart.
         seed: simulated: of motion, restarts and noise.
         wear: simulated: slack and friction relative to new cables.
+        exact: simulated: labels of the true tip at the true time, to judge by.
     """
 
     simulate_min: float | None = None
@@ -58,6 +59,7 @@ class _SimulationOptions:
     restarts: int = 4
     seed: int = 1
     wear: float = 1.0
+    exact: Annotated[bool, Parameter(negative="")] = False
 
 
 def dataset(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from measure.host import Dataset, Report
@@ -13,8 +15,9 @@ from measure.robots.simulator import Cables, SimulatedRun, simulate
 PAPER_MINUTES = 140.0
 PAPER_PAIRS = 49_407
 _LOG_HZ = 50.0
-_NOISE_MM = 0.1  # SD per axis of a measured position
-_CUT = AssemblySettings(cut_s=210.0)  # ten trajectories in each of four sessions
+_NOISE_MM = 0.1
+_OFFSET_S = 1.5  # how far the robot's clock is ahead of the cameras'
+_CUT = AssemblySettings(cut_s=210.0)
 
 
 def recording(
@@ -23,7 +26,8 @@ def recording(
     seed: int,
     *,
     frame_hz: float,
-    clock_offset_s: float = 1.5,
+    clock_offset_s: float = _OFFSET_S,
+    noise_mm: float = _NOISE_MM,
     pairs: int | None = None,
 ) -> tuple[PoseTrack, RobotLog]:
     """Poses, so many or as many as fit, and robot log that a simulated run would give."""
@@ -34,8 +38,8 @@ def recording(
         [np.interp(times, run.times_s, run.world_from_tip.translation[:, i]) for i in range(3)],
         axis=1,
     )
-    noise = rng.normal(0.0, _NOISE_MM, truth.shape)
-    covariances = np.tile(_NOISE_MM**2 * np.eye(3), (len(times), 1, 1))
+    noise = rng.normal(0.0, noise_mm, truth.shape)
+    covariances = np.tile(noise_mm**2 * np.eye(3), (len(times), 1, 1))
     track = PoseTrack(name, times, truth + noise, covariances)
     return track, RobotLog(raven_schema(), run.times_s + clock_offset_s, run.states)
 
@@ -47,21 +51,25 @@ def simulated_dataset(
     restarts: int = 4,
     seed: int = 1,
     cables: Cables | None = None,
+    exact: bool = False,
     settings: AssemblySettings = _CUT,
     report: Report = quiet,
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     """Teleoperate the simulated robot in so many sessions, each after a restart.
 
     As in the paper, there are few sessions, and each is cut into trajectories.
+    With `exact`, labels are those of the true tip at the true time: what to judge by.
     """
+    if exact:
+        settings = replace(settings, clock_offset_s=_OFFSET_S, outlier_sds=np.inf, as_it_is=True)
+    noise_mm = 0.0 if exact else _NOISE_MM
     seconds = 60.0 * minutes / restarts
     counts = np.diff(np.round(np.linspace(0, pairs, restarts + 1)).astype(int))
     recorded = []
     for index, count in enumerate(counts):
         report(index / restarts, f"session {index + 1} of {restarts}")
         run = simulate(seconds, 1000 * seed + index, log_hz=_LOG_HZ, cables=cables)
-        hz = count / (seconds - 0.25)
-        recorded.append(
-            recording(run, f"session_{index:02d}", seed + index, frame_hz=hz, pairs=int(count))
-        )
+        name, hz = f"session_{seed}_{index:02d}", count / (seconds - 0.25)
+        made = recording(run, name, seed + index, frame_hz=hz, noise_mm=noise_mm, pairs=int(count))
+        recorded.append(made)
     return assemble(recorded, settings)

@@ -36,7 +36,7 @@ def test_a_data_set_is_written_and_read(small: Dataset, tmp_path: Path) -> None:
         ("pos_x", float("inf"), "row 6 has a state that is no finite number"),
         ("usable", None, "column 'usable' must say true or false in every row"),
         ("trajectory", None, "column 'trajectory' is empty in row 6"),
-        ("time_s", -1.0, "time runs backwards at row 6, in trajectory 'session_00/000'"),
+        ("time_s", -1.0, "time runs backwards at row 6, in trajectory 'session_4_00/000'"),
     ],
 )
 def test_a_data_set_with_a_hole_is_refused(

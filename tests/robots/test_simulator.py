@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,12 @@ def _error(run: SimulatedRun) -> Floats:
 
 
 def test_error_has_the_papers_size() -> None:
-    error = _error(simulate(120.0, 1, log_hz=20.0))
-    rms = np.sqrt((error**2).sum(axis=1).mean())
-    spread = np.sqrt(error.var(axis=0).sum())
-    assert 3.0 < rms < 10.0
-    assert 1.0 < spread < 4.0
-    assert np.linalg.norm(error, axis=1).max() < 12.0
+    """The paper's 83.6 % and 59.4 % less say that 84 % of the mean square are a constant."""
+    error = np.concatenate([_error(simulate(60.0, seed, log_hz=20.0)) for seed in range(1, 9)])
+    square = (error**2).sum(axis=1).mean()
+    assert 5.0 < np.sqrt(square) < 7.0
+    assert 0.80 < 1.0 - error.var(axis=0).sum() / square < 0.88
+    assert 8.0 < np.linalg.norm(error, axis=1).max() < 13.0
 
 
 def test_the_same_seed_gives_the_same_run() -> None:
@@ -32,22 +33,52 @@ def test_the_same_seed_gives_the_same_run() -> None:
     assert np.abs(first.states - other.states).max() > 1.0
 
 
+NOTHING = (0.0,) * 7
+STILL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+RIGID = Cables(
+    stiffness=(2e4, 2e4, 9e5, 200.0, 150.0, 150.0, 150.0),
+    backlash=NOTHING,
+    friction=NOTHING,
+    homing=NOTHING,
+    restart_sd=NOTHING,
+    inertia=(0.8, 0.6, 3.5, 1e-2, 6e-3, 6e-3, 6e-3),
+    damping=0.7,
+    registration_mm=(0.0, 0.0, 0.0),
+    registration_rotvec_deg=(0.0, 0.0, 0.0),
+    registration_sd=(0.0, 0.0),
+)
+
+
 def test_a_rigid_exact_robot_reports_the_truth() -> None:
-    """Without slack, friction and homing errors, and very stiff, the error is gravity's alone."""
-    nothing = (0.0,) * 7
-    cables = Cables(
-        stiffness=(2e4, 2e4, 9e5, 200.0, 150.0, 150.0, 150.0),
-        backlash=nothing,
-        friction=nothing,
-        homing=nothing,
-        restart_sd=nothing,
-        inertia=(0.8, 0.6, 3.5, 1e-2, 6e-3, 6e-3, 6e-3),
-        damping=0.7,
-        registration_mm=(0.0, 0.0, 0.0),
-        registration_rotvec_deg=(0.0, 0.0, 0.0),
-    )
-    error = _error(simulate(20.0, 2, log_hz=50.0, cables=cables))
+    """Without slack, friction, coupling and static errors, and very stiff, gravity's is left."""
+    error = _error(simulate(20.0, 2, log_hz=50.0, cables=replace(RIGID, wrist=STILL)))
     assert np.linalg.norm(error, axis=1).max() < 0.2
+
+
+def test_the_wrist_turns_less_than_its_motors_and_its_axes_pull_each_other() -> None:
+    """What is published of such a wrist, and not what the robot's software believes of it."""
+    run = simulate(60.0, 3, log_hz=50.0, cables=RIGID)
+    assert SCHEMA.chain is not None
+    joints = SCHEMA.joint_positions(run.states)
+    assert np.linalg.norm(_error(run), axis=1).max() > 2.0
+    joints[:, 3:] = joints[:, 3:] @ np.array(RIGID.wrist).T
+    left = run.world_from_tip.translation - SCHEMA.chain.tip_mm(joints)
+    assert np.linalg.norm(left, axis=1).max() < 0.2
+    mutual = RIGID.wrist[1][2] * joints[:, 5]
+    assert 3.0 < np.rad2deg(np.abs(mutual).max()) < 9.0
+
+
+def test_a_restart_moves_the_tip_as_on_a_real_arm() -> None:
+    """Homing and the cameras' registration together, 0.7-0.8 mm; the same motion in both runs."""
+    fixed = replace(Cables(), restart_sd=NOTHING, registration_sd=(0.0, 0.0))
+    moved = [
+        (
+            _error(simulate(1.0, seed, log_hz=5.0))
+            - _error(simulate(1.0, seed, cables=fixed, log_hz=5.0))
+        )[-1]
+        for seed in range(60)
+    ]
+    assert 0.6 < np.sqrt((np.array(moved) ** 2).sum(axis=1).mean()) < 0.9
 
 
 def test_reported_pose_is_the_kinematics_of_the_reported_joints() -> None:

@@ -6,8 +6,12 @@ Sources:
   [S] the robot's public control software: gravity (grav_comp.cpp), amplifiers (defines.h),
       motor and gear data (motor.h).
   [L] a fit to a real 1 kHz log, DAC = a acc + b vel + c sign(vel): R^2 0.96, 0.97, 0.87.
-  [B] single-joint backlash measured on another cable-driven arm with this kind of tool (Hwang et
-      al., RA-L 2020): play of half-width about 2, 6 and 10 degrees (roll, pitch, yaw).
+  [B] measured on another cable-driven arm with this kind of tool (Hwang et al., RA-L 2020): play
+      of half-width about 2, 6 and 10 degrees (roll, pitch, yaw) and gains of 0.66-0.75 of single
+      wrist joints; a fit to that arm's recordings adds 0.17-0.25 of pitch per yaw and of yaw per
+      pitch, roll neither coupled nor reduced, and zeros that differ from one recording to the next
+      by about 0.15 deg (arm), 0.4 mm (insertion) and 1-1.5 deg (wrist), the cameras' part
+      included: 0.7-0.8 mm at the tip.
   [A] assumption. Chosen so that the reported position errs by as much as the literature says
       (several millimetres, up to about 10), not fitted to any data set.
 """
@@ -20,6 +24,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import ConfigError
+from measure.robots import raven
 
 STEP_S = 1e-3  # [S] controller period
 
@@ -55,15 +60,17 @@ class Cables:
         stiffness: N m/rad (N/m) of each cable at small load.
         stiffening: how much stiffer at `load`, relative: cables stiffen with tension.
         load: N m (N) at which `stiffening` is reached.
-        backlash: half-width, rad (m). Roll and wrist: [B].
+        backlash: half-width, rad (m). Roll, wrist and jaws: [B].
         friction: Coulomb friction of links and pulleys behind the cable, N m (N).
         bristle: motion over which friction builds up (Dahl), rad (m).
         inertia: of the links, kg m^2 (kg).
         damping: ratio of the link on its cable.
+        wrist: how far roll, pitch and yaw turn per turn of each at the motors. [B]
         homing: fixed error of each drive's zero, rad (m).
         restart_sd: SD of the zero's further error after each restart, rad (m).
         registration_mm: where the robot believes its base to be, minus where it is.
         registration_rotvec_deg: the same for its orientation.
+        registration_sd: SDs per axis of both after each restart, mm and deg.
     """
 
     stiffness: tuple[float, ...] = (220.0, 160.0, 9000.0, 2.0, 1.5, 1.5, 1.5)
@@ -75,33 +82,35 @@ class Cables:
         1e-4,
         2.0 * DEGREE,
         6.0 * DEGREE,
-        5.0 * DEGREE,
-        5.0 * DEGREE,
+        10.0 * DEGREE,
+        10.0 * DEGREE,
     )
     friction: tuple[float, ...] = (0.9, 0.8, 4.0, 0.02, 0.02, 0.02, 0.02)
     bristle: tuple[float, ...] = (1e-3, 1e-3, 1e-4, 6e-3, 6e-3, 6e-3, 6e-3)
     inertia: tuple[float, ...] = (0.08, 0.06, 0.35, 1e-4, 6e-5, 6e-5, 6e-5)
     damping: float = 0.25
+    wrist: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 0.75, 0.2), (0.0, 0.2, 0.7))
     homing: tuple[float, ...] = (
-        1.2 * DEGREE,
-        -1.4 * DEGREE,
-        2.5e-3,
+        1.25 * DEGREE,
+        -1.5 * DEGREE,
+        2.6e-3,
         3.0 * DEGREE,
         -2.0 * DEGREE,
         0.0,
         0.0,
     )
     restart_sd: tuple[float, ...] = (
-        0.08 * DEGREE,
-        0.08 * DEGREE,
-        1.5e-4,
-        1.0 * DEGREE,
-        1.0 * DEGREE,
-        1.0 * DEGREE,
-        1.0 * DEGREE,
+        0.12 * DEGREE,
+        0.12 * DEGREE,
+        3e-4,
+        1.2 * DEGREE,
+        1.2 * DEGREE,
+        1.2 * DEGREE,
+        1.2 * DEGREE,
     )
     registration_mm: tuple[float, float, float] = (1.5, -1.0, 2.0)
     registration_rotvec_deg: tuple[float, float, float] = (0.3, -0.4, 0.2)
+    registration_sd: tuple[float, float] = (0.3, 0.06)
     wear: float = field(default=1.0)
 
     def __post_init__(self) -> None:
@@ -109,6 +118,16 @@ class Cables:
             raise ConfigError(
                 f"wear {self.wear:g}: expected a factor on slack and friction, 0.1 to 3"
             )
+
+    def coupling(self) -> Floats:
+        """(7, 7): how far each cable is pulled per unit of each drive's link (rad, m)."""
+        turns = np.eye(4)
+        turns[:3, :3] = self.wrist
+        jaws = np.eye(4)  # to roll, wrist, yaw and half the opening from the drives
+        jaws[2:, 2:] = [[0.5, -0.5], [0.5, 0.5]]
+        out = raven.coupling()
+        out[3:, 3:] = np.linalg.inv(np.linalg.solve(jaws, turns @ jaws))
+        return out
 
     def packed(self) -> Floats:
         """(8, 7) for the integrator: k, stiffening, load, backlash, friction, bristle, I, c."""

@@ -57,7 +57,7 @@ def integrate(desired: Floats, gravity: Floats, cables: Cables, log_every: int) 
         targets,
         desired,
         gravity,
-        _Mechanics(motor, cables.packed(), raven.coupling(), raven.RATIO),
+        _Mechanics(motor, cables.packed(), cables.coupling(), raven.RATIO),
         log_every,
         smoothing,
     )
@@ -97,7 +97,7 @@ def _pull(angle: Floats, link: Floats, mechanics: _Mechanics, tension: Floats) -
     _, cables, coupling, ratio = mechanics
     for i in range(_N):
         pulled = 0.0
-        for j in range(i + 1):
+        for j in range(_N):
             pulled += coupling[i, j] * link[j]
         stretch = angle[i] / ratio[i] - pulled
         if stretch > cables[3, i]:
@@ -124,7 +124,7 @@ def _move_links(
     _, cables, coupling, _ = mechanics
     for i in range(_N):
         torque = gravity[i]
-        for j in range(i, _N):
+        for j in range(_N):
             torque += coupling[j, i] * tension[j]
         rate = speed[i] / cables[5, i]
         bristle[i] += dt * (rate - abs(rate) * bristle[i])
@@ -167,7 +167,8 @@ def _integrate(
     dt = 1e-3 / SUBSTEPS
     out = np.empty(((steps + log_every - 1) // log_every, 6, _N))
     angle, speed = targets[0].copy(), np.zeros(_N)
-    link, link_speed = desired[0].copy(), np.zeros(_N)
+    link = np.linalg.solve(mechanics.coupling, targets[0] / mechanics.ratio)
+    link_speed = np.zeros(_N)
     bristle, filtered, dac, tension = np.zeros((4, _N))
     previous = np.array([_encoder(a) for a in angle])
     for step in range(steps):

@@ -30,7 +30,7 @@ class Teleoperation:
     pause: float = 0.25  # chance of a pause after a reach
     pause_s: float = 1.5  # longest pause
     # largest roll, wrist and jaw-pair angle.
-    wrist_deg: tuple[float, float, float] = (60.0, 45.0, 40.0)
+    wrist_deg: tuple[float, float, float] = (60.0, 40.0, 35.0)
     tremor_mm: float = 0.03  # SD of the 9 Hz tremor, per axis
 
 
@@ -117,7 +117,7 @@ def simulate(
     """Switch the robot on, home it, and teleoperate it.
 
     Args:
-        seed: of the motion and of this restart's homing error.
+        seed: of the motion and of this restart's errors of homing and registration.
         log_hz: states kept per second; the controller itself always runs at 1 kHz.
         cables: the mechanics; the default robot if absent.
     """
@@ -129,8 +129,10 @@ def simulate(
     zero = np.array(cables.homing) + rng.normal(0.0, cables.restart_sd)
     encoder_offset = np.round(rng.uniform(-2e4, 2e4, raven.DRIVES))
     q_true = raven.joints_from_drives(logged[:, 3] + zero)
+    sd_mm, sd_deg = cables.registration_sd
     world_from_base = RigidTransform.from_rotvec(
-        np.deg2rad(cables.registration_rotvec_deg), cables.registration_mm
+        np.deg2rad(cables.registration_rotvec_deg + rng.normal(0.0, sd_deg, 3)),
+        cables.registration_mm + rng.normal(0.0, sd_mm, 3),
     )
     return SimulatedRun(
         times_s=np.arange(len(logged), dtype=np.float64) * (every * k.STEP_S),
