@@ -27,12 +27,21 @@ from measure.api.detecting import (
     parse_expectation,
     write_sampled_body,
 )
+from measure.api.folders import contents_of, events, inside, mark_event, next_free
 from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_bodies, measure_session
-from measure.api.metrology import TipResult, pivot, rests, world, world_by_board
+from measure.api.metrology import RestsSoFar, TipResult, pivot, rests, world, world_by_board
 from measure.api.pairing import make_dataset, register, simulate_dataset, simulate_recording
-from measure.api.profiles import build_pipeline, choose, load_profile
+from measure.api.previewing import (
+    BallWatch,
+    CameraNow,
+    PictureFacts,
+    Preview,
+    WatchedCamera,
+    web_viewer,
+)
+from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.recording import (
     CaptureRequest,
     RecordedSession,
@@ -48,21 +57,28 @@ from measure.api.results import body_names, compare, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.synchronising import SyncedClock, sync
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
-from measure.capture import Control, DeviceControls, FoundCamera, Mode, parse_cameras
+from measure.capture import CameraAddress, CameraCount, Control, DeviceControls, FoundCamera, Mode, parse_cameras
+from measure.host import Registry
+from measure.measuring import Measurement
 from measure.results.evaluation import evaluation_tables
+from measure.session import read_body, read_calibration
 
 __all__ = [
-    "Accepted", "CalibrationResult", "CaptureRequest", "Control", "Demo", "DeviceControls",
-    "FoundBody", "FoundCamera", "Lens", "LiveEnd", "LiveOptions", "LiveState", "Mode", "Outcome",
-    "RecordedSession", "RefineResult", "RunOptions", "SeenPicture", "SessionCheck",
-    "SweepOptions", "SyncedClock", "TipResult", "TrainOptions", "ablate", "accept", "body_names",
-    "build_pipeline", "calibrate", "camera_names", "cameras", "check", "check_estimates",
-    "check_new_body", "choose", "compare", "correct_simulated_robot", "demo", "detect",
-    "draw_target", "estimate_file", "estimate_online", "evaluate", "evaluation_tables", "export",
-    "find_body", "live", "load_profile", "make_dataset", "measure_bodies", "measure_session",
-    "model_file", "parse_cameras", "parse_click", "parse_controls", "parse_expectation",
-    "parse_images", "parse_receiver", "parse_settings", "parse_size", "pivot", "record", "refine",
-    "register", "render_demo", "report", "rests", "rezero", "robot_recording", "run", "run_many",
-    "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording", "sweep", "sync",
-    "train", "usb_notes", "world", "world_by_board", "write_sampled_body",
+    "Accepted", "BallWatch", "CalibrationResult", "CameraAddress", "CameraCount", "CameraNow",
+    "CaptureRequest", "Control", "Demo", "DeviceControls", "FoundBody", "FoundCamera", "Lens",
+    "LiveEnd", "LiveOptions", "LiveState", "Measurement", "Mode", "Outcome", "PictureFacts",
+    "Preview", "RecordedSession", "RefineResult", "Registry", "RestsSoFar", "RunOptions",
+    "SeenPicture", "SessionCheck", "SweepOptions", "SyncedClock", "TipResult", "TrainOptions",
+    "WatchedCamera", "ablate", "accept", "body_names", "build_pipeline", "calibrate",
+    "camera_names", "cameras", "check", "check_estimates", "check_new_body", "choose",
+    "compare", "contents_of", "correct_simulated_robot", "demo", "detect", "draw_target",
+    "estimate_file", "estimate_online", "evaluate", "evaluation_tables", "events", "export",
+    "find_body", "inside", "live", "load_profile", "make_dataset", "mark_event",
+    "measure_bodies", "measure_session", "model_file", "next_free", "parse_cameras",
+    "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_receiver",
+    "parse_settings", "parse_size", "pivot", "profile_names", "read_body", "read_calibration",
+    "record", "refine", "register", "render_demo", "report", "rests", "rezero",
+    "robot_recording", "run", "run_many", "shipped_model", "shipped_targets",
+    "simulate_dataset", "simulate_recording", "sweep", "sync", "train", "usb_notes",
+    "web_viewer", "world", "world_by_board", "write_sampled_body",
 ]  # fmt: skip

@@ -102,7 +102,7 @@ def detect(
             f"--expect {unknown[0]}: the body has no such ball, but {', '.join(body.names)}"
         )
     drawn = _drawings(pictures, out)
-    cameras = _Cameras(lens or Lens())
+    cameras = LensOf(lens or Lens())
     seen = []
     for index, path in enumerate(pictures):
         pixels = read_picture(path)
@@ -123,7 +123,7 @@ def detect(
     return tuple(seen)
 
 
-class _Cameras:
+class LensOf:
     """The camera of a picture: calibrated, or a plain one of the picture's size."""
 
     def __init__(self, lens: Lens) -> None:
@@ -139,6 +139,7 @@ class _Cameras:
             raise ConfigError(f"--focal-px {lens.focal_px}: expected a length in px above 0")
 
     def of(self, width: int, height: int, picture: Path) -> Camera:
+        """The camera that took a picture of this size; ConfigError if it is of another."""
         if self._calibrated is None:
             focal = self._focal_px or _USUAL_FOCAL * max(width, height)
             matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]

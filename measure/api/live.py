@@ -41,7 +41,7 @@ from measure.capture.controls import watched
 from measure.errors import ConfigError, RunError
 from measure.host import Registry
 from measure.measuring import Measurement, Profile, burn_in
-from measure.model import Body, Camera, FrameSet
+from measure.model import Body, Camera, FrameSet, Image
 from measure.processes import share_heaps
 from measure.results import PoseSender, Provenance, RunWriter, Summary, refuse_other_writer
 from measure.session import Calibration, check_bodies, check_unit, read_body
@@ -59,6 +59,8 @@ class LiveOptions(LogOptions):
     request: CaptureRequest | None = None  # what cameras of this machine are set to
     overwrite: bool = False  # throw an earlier run away
     reference: str = ""  # name of the body that others are measured relative to; empty without one
+    on_image: Callable[[Image], None] | None = None  # called with every picture
+    stop: Event | None = None  # set to end it; interrupts set it, too
 
 
 @dataclass(frozen=True)
@@ -144,8 +146,8 @@ def live(
         stack.enter_context(rig)
         lock = options.request is not None and options.request.lock
         controls = stack.enter_context(watched(rig.controls, lock))
-        stop = stack.enter_context(until_stopped())
-        sinks = [gathering.add]
+        stop = stack.enter_context(until_stopped(options.stop))
+        sinks = [gathering.add] if options.on_image is None else [gathering.add, options.on_image]
         if options.record is not None:
             given = rig.addresses, measured, calibrated, options.reference, controls.settings
             sinks.append(stack.enter_context(Recorder(options.record, *given)).add)

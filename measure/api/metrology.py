@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -13,12 +14,16 @@ from measure.api.calibrating import find_target
 from measure.arrays import Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, UncertainTransform
+from measure.measuring import Measurement
 from measure.metrology.pivot import Pivot, SpinAxis, find_spin_axis, find_tip
-from measure.metrology.rests import SHORTEST_S, Rests
-from measure.model import Body, Camera
+from measure.metrology.poses import PoseTable, SharedErrors
+from measure.metrology.rests import SHORTEST_S, Rests, find_rests
+from measure.model import Body, Camera, Pose
 from measure.results import Run, read_run
 from measure.results.pose_table import poses_of, rests_of, shared_errors
 from measure.session import Calibration, matching_files, read_calibration, read_picture
+
+_LATEST = 3000  # Poses in which rests are looked for while measuring
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +40,33 @@ def rests(run: Path | str, shortest_s: float = SHORTEST_S, body: str | None = No
     if not 0 < shortest_s < np.inf:
         raise ConfigError(f"--shortest-s {shortest_s:g}: give the seconds of the shortest rest")
     return rests_of(read_run(Path(run), body), shortest_s)
+
+
+class RestsSoFar:
+    """The rests of a body while it is measured, within the latest minutes."""
+
+    def __init__(self, body: Body, cameras: Sequence[Camera], poses: int = _LATEST) -> None:
+        self._shared = SharedErrors(tuple(cameras), body)
+        self._poses: deque[Pose] = deque(maxlen=poses)
+
+    def add(self, measured: Measurement) -> None:
+        """Take a measurement; those without a pose or with a flagged one do not count."""
+        if measured.pose is not None and not measured.pose.flags:
+            self._poses.append(measured.pose)
+
+    def find(self, shortest_s: float = SHORTEST_S) -> Rests:
+        """The rests so far."""
+        poses = list(self._poses)
+        places = [pose.world_from_body for pose in poses]
+        table = PoseTable(
+            np.array([pose.time_s for pose in poses]),
+            RigidTransform(
+                np.array([place.rotation for place in places]).reshape(-1, 3, 3),
+                np.array([place.translation for place in places]).reshape(-1, 3),
+            ),
+            np.array([pose.covariance for pose in poses]).reshape(-1, 6, 6),
+        )
+        return find_rests(table, self._shared, shortest_s)
 
 
 def pivot(run: Path | str, spin: Path | str | None = None, body: str | None = None) -> TipResult:

@@ -25,7 +25,7 @@ from measure.capture import (
 from measure.capture.controls import watched
 from measure.capture.sources import Source
 from measure.errors import ConfigError
-from measure.model import Camera
+from measure.model import Camera, Image
 from measure.session import check_bodies, read_body, read_calibration
 
 _POLL_S = 0.1
@@ -69,6 +69,8 @@ def record(
     seconds: float | None = None,
     on_state: Callable[[Mapping[str, CameraCount]], None] | None = None,
     on_outage: Callable[[Outage], None] | None = None,
+    on_image: Callable[[Image], None] | None = None,
+    stop: threading.Event | None = None,
 ) -> RecordedSession:
     """Record cameras into a session folder for a time, or until the process is interrupted.
 
@@ -81,6 +83,8 @@ def record(
         seconds: how long; until interrupted if None.
         on_state: called ten times a second with the counts of all cameras.
         on_outage: called, from another thread, when a camera is away, and when it is back.
+        on_image: called with every picture, from its camera's thread.
+        stop: set to end it; interrupts set it, too.
 
     Raises:
         CaptureError: a camera cannot be reached, does not take a control, or is of another size
@@ -100,10 +104,10 @@ def record(
         # Nothing is lost yet if this is interrupted.
         Cameras(sources, sizes_of(calibrated), on_outage) as rig,
         watched(rig.controls, request is not None and request.lock) as controls,
-        until_stopped() as stop,
+        until_stopped(stop) as stop,
         Recorder(out, rig.addresses, *about, controls.settings) as recording,
     ):
-        rig.begin([recording.add])
+        rig.begin([recording.add] if on_image is None else [recording.add, on_image])
         begun = time.monotonic()
         while not rig.over and not stop.wait(_POLL_S):
             rig.check()
@@ -231,16 +235,19 @@ def parse_receiver(text: str) -> tuple[str, int]:
 
 
 @contextmanager
-def until_stopped() -> Iterator[threading.Event]:
+def until_stopped(stop: threading.Event | None = None) -> Iterator[threading.Event]:
     """Turn the first interrupt (Ctrl-C) or termination of this process into an event.
 
     A second one ends the process as usual. Outside the main thread, the only one that receives
-    signals, the event is never set.
+    signals, the event is not set by it.
+
+    Args:
+        stop: the event; a new one if omitted.
 
     Yields:
         Set once the work is to stop.
     """
-    stop = threading.Event()
+    stop = stop or threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return

@@ -35,6 +35,18 @@ class CameraAddress:
         """The address, where a number stands for a device of Linux."""
         return f"/dev/video{self.address}" if self.address.isdecimal() else self.address
 
+    @property
+    def holds_secret(self) -> bool:
+        """Whether it may hold a password; what mjpg-streamer's addresses end with is none."""
+        plain = self.address.removesuffix("?action=stream")
+        return shown(plain) != plain
+
+    def below(self, folder: Path) -> CameraAddress:
+        """The same; the path of a file is meant from `folder`."""
+        if self.is_device or "://" in self.address:
+            return self
+        return CameraAddress(self.name, str(folder / self.address))
+
     def source(
         self,
         size_wh: tuple[int, int] | None = None,

@@ -22,6 +22,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "demo": "Render a session, measure it, compare with the truth; correct a simulated robot."
     },
     "Set up": {
+        "studio": "Serve a page that leads from cameras on a desk to a measured object.",
         "cameras": "List cameras: modes, controls, and whether they deliver.",
         "detect": "Show what the detector sees in single pictures.",
         "target": "Draw a printable board, marker field or body.",

@@ -155,7 +155,7 @@ def _refuse_links(folder: Path) -> None:
 def own_files(folder: Path) -> list[Path]:
     """The files that are a run's own: those that are there, and those that may be."""
     # In the order in which they are removed: a run without its summary need not have all tables.
-    names = ["summary.json", "report.html", "run.rrd", "poses.csv", "relative.csv"]
+    names = ["summary.json", "report.html", "run.rrd", "poses.csv", "relative.csv", "events.csv"]
     names += ["body.toml", "bodies.toml", "calibration.toml"]
     tables = (*SCHEMAS, "relative")
     names += [f"{table}.{kind}" for table in tables for kind in ("parquet", "arrows")]

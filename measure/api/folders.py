@@ -1,0 +1,83 @@
+"""A folder in which a rig is set up: what lies in it, and that nothing outside is touched."""
+
+from __future__ import annotations
+
+import csv
+import time
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from measure.errors import ConfigError, MeasureError, RunError
+from measure.reading import parse_toml, read_text
+
+EVENTS = "events.csv"  # In a run's folder: the time of each event and what it was
+
+
+@dataclass(frozen=True)
+class FolderContents:
+    """Files that a set-up needs, the newest first."""
+
+    calibrations: tuple[Path, ...]
+    bodies: tuple[Path, ...]
+    boards: tuple[Path, ...]
+
+
+def inside(folder: Path, name: str | Path) -> Path:
+    """A path below a folder, links followed; ConfigError for one that leads out of it."""
+    path, home = (folder / name).resolve(), folder.resolve()
+    if home != path and home not in path.parents:
+        raise ConfigError(f"{name}: lies outside {folder}: put it into that folder")
+    return path
+
+
+def contents_of(folder: Path) -> FolderContents:
+    """Look through a folder and the folders in it."""
+    kinds: dict[str, list[Path]] = {"balls": [], "cameras": [], "kind": []}
+    files = [*folder.glob("*.toml"), *folder.glob("*/*.toml")]
+    for file in sorted(files, key=lambda one: one.stat().st_mtime, reverse=True):
+        try:
+            keys = parse_toml(read_text(file, ConfigError)).keys()
+        except (MeasureError, tomllib.TOMLDecodeError):
+            continue
+        for kind, found in kinds.items():
+            if kind in keys and not keys & {"capture", "session"}:
+                found.append(file)
+    return FolderContents(*(tuple(kinds[kind]) for kind in ("cameras", "balls", "kind")))
+
+
+def next_free(folder: Path, stem: str) -> str:
+    """The first of `stem`-1, `stem`-2, ... that is not there."""
+    number = 1
+    while (folder / f"{stem}-{number}").exists():
+        number += 1
+    return f"{stem}-{number}"
+
+
+def mark_event(run: Path, what: str, time_s: float | None = None) -> float:
+    """Write down that something happened during a run; its time is now if omitted.
+
+    Returns:
+        The time, in seconds since 1970.
+
+    Raises:
+        RunError: there is no such run.
+    """
+    time_s = time.time() if time_s is None else time_s
+    if not (run / "run.toml").is_file():
+        raise RunError(f"{run}: no run is there yet whose event could be marked")
+    new = not (run / EVENTS).exists()
+    with (run / EVENTS).open("a", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        if new:
+            rows.writerow(("time_s", "event"))
+        rows.writerow((f"{time_s:.6f}", what))
+    return time_s
+
+
+def events(run: Path) -> Iterator[tuple[float, str]]:
+    """The events that were marked during a run."""
+    if (run / EVENTS).exists():
+        rows = csv.DictReader(read_text(run / EVENTS, RunError).splitlines())
+        yield from ((float(row["time_s"]), row["event"]) for row in rows)

@@ -1,0 +1,185 @@
+"""What all pages share: the folder, the cameras, and the one thing that is done at a time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from measure import api
+from measure.errors import ConfigError, MeasureError
+
+_PATIENCE_S = 3.0  # Longest wait for cameras to be closed
+_CAMERAS = "cameras.txt"  # In the folder: NAME=ADDRESS a line, without those that hold a secret
+
+
+class Job:
+    """Work in a thread of its own, with its progress and its end.
+
+    Attributes:
+        title: what is being done, for people.
+        stop: set to end it.
+        done: how far it is: what is done and, where that is known, of how many.
+        result: what it returned, for people; empty until then.
+        problem: why it failed; empty if it did not.
+    """
+
+    def __init__(self, title: str, work: Callable[[Job], str]) -> None:
+        self.title, self.stop = title, threading.Event()
+        self.done: tuple[int, int | None] = (0, None)
+        self.result = self.problem = ""
+        self._thread = threading.Thread(target=self._run, args=(work,), daemon=True)
+        self._thread.start()
+
+    @property
+    def runs(self) -> bool:
+        """Whether it is not over yet."""
+        return self._thread.is_alive()
+
+    def wait(self, seconds: float) -> None:
+        """Wait for its end, not for longer than this."""
+        self._thread.join(seconds)
+
+    def progress(self, done: int, total: int | None) -> None:
+        """Hear how far it is."""
+        self.done = done, total
+
+    def _run(self, work: Callable[[Job], str]) -> None:
+        try:
+            self.result = work(self)
+        except MeasureError as problem:
+            self.problem = str(problem)
+        except OSError as problem:
+            self.problem = f"{problem.filename or ''}: {problem.strerror}"
+
+
+class Bench:
+    """The state of a set-up.
+
+    Attributes:
+        folder: everything read and written lies below it.
+        local: whether only this machine can look.
+        cameras: in the order in which they were given.
+        preview: their newest pictures.
+        job: what is or was being done last; None at first.
+        body: the body whose balls are looked for in the previews.
+    """
+
+    def __init__(self, folder: Path, registry: api.Registry, local: bool) -> None:
+        self.folder, self.registry, self.local = folder.resolve(), registry, local
+        self.cameras: list[api.CameraAddress] = []
+        self.preview = api.Preview()
+        self.job: Job | None = None
+        self.body: Path | None = None
+        self._watched: dict[api.CameraAddress, api.WatchedCamera] = {}
+        self._balls: api.BallWatch | None = None
+        self._counts: Mapping[str, api.CameraCount] | None = None
+        self._turn = threading.Lock()
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being done that needs the cameras, or much of this computer."""
+        return self.job is not None and self.job.runs
+
+    @property
+    def now(self) -> Mapping[str, api.CameraNow]:
+        """State of each camera, whoever reads it at the moment."""
+        if self._counts is not None:
+            return {name: api.CameraNow.of(name, count) for name, count in self._counts.items()}
+        return {one.name: watched.now for one, watched in self._watched.items()}
+
+    def load_cameras(self, words: tuple[str, ...] = ()) -> None:
+        """Take the cameras that were given, or those of the last time."""
+        file = self.folder / _CAMERAS
+        if not words and file.is_file():
+            words = tuple(file.read_text("utf-8").split("\n"))
+        self.set_cameras(api.parse_cameras([word for word in words if word.strip()]))
+
+    def set_cameras(self, cameras: list[api.CameraAddress]) -> None:
+        """Watch these from now on; MeasureError if that cannot be now, or of a file elsewhere."""
+        self.refuse_if_busy()
+        for one in cameras:
+            if not (one.is_device or "://" in one.address):
+                api.inside(self.folder, one.address)
+        self.cameras = cameras
+        kept = [f"{one.name}={one.address}\n" for one in cameras if not one.holds_secret]
+        (self.folder / _CAMERAS).write_text("".join(kept), "utf-8")
+        self.watch()
+
+    def watch(self) -> None:
+        """Read the cameras for looking at them, and for nothing else."""
+        for gone in self._watched.keys() - set(self.cameras):
+            self._watched.pop(gone).stop()
+        for one in self.cameras:
+            if one not in self._watched:
+                # A file is meant from the folder, wherever the program was started.
+                there = one.below(self.folder)
+                self._watched[one] = api.WatchedCamera(there, self.preview.add)
+        self.look_for_balls()
+
+    def let_go(self) -> None:
+        """Close the cameras, for whoever needs them next."""
+        if self._balls is not None:
+            self._balls.stop()
+        for one in self._watched.values():
+            one.stop()
+        until_s = time.monotonic() + _PATIENCE_S
+        for one in self._watched.values():
+            one.wait(max(until_s - time.monotonic(), 0.0))
+        self._watched, self._balls = {}, None
+
+    def look_for_balls(self) -> None:
+        """Search the previews for the body, if one is chosen."""
+        if self._balls is not None:
+            self._balls.stop()
+        self._balls = None
+        if self.body is not None:
+            names = [one.name for one in self.cameras]
+            self._balls = api.BallWatch(self.preview, names, self.body, self.registry)
+
+    def refuse_if_busy(self) -> None:
+        """Refuse (ConfigError) a second thing at a time."""
+        if self.job is not None and self.job.runs:
+            raise ConfigError(f"{self.job.title} goes on: stop it, or wait until it has ended")
+
+    def begin(self, title: str, work: Callable[[Job], str], needs_cameras: bool = False) -> Job:
+        """Do something in the background; the cameras are watched again when it is over."""
+        with self._turn:
+            self.refuse_if_busy()
+            if not needs_cameras:
+                self.job = Job(title, work)
+                return self.job
+            self.let_go()
+
+            def with_cameras(job: Job) -> str:
+                try:
+                    return work(job)
+                finally:
+                    self._counts = None
+                    self.watch()
+
+            self.job = Job(title, with_cameras)
+            return self.job
+
+    def note_counts(self, counts: Mapping[str, api.CameraCount]) -> None:
+        """Hear from whoever reads the cameras what came of them."""
+        self._counts = counts
+
+    def addresses(self) -> list[api.CameraAddress]:
+        """The cameras as `record` and `live` take them; ConfigError if there is none."""
+        if not self.cameras:
+            raise ConfigError("there is no camera yet: add them on the page Cameras")
+        return [one.below(self.folder) for one in self.cameras]
+
+    def stop(self) -> None:
+        """End what goes on, as an interrupt would."""
+        if self.job is not None:
+            self.job.stop.set()
+
+    def close(self) -> None:
+        """End everything, and wait till what was measured is written."""
+        self.stop()
+        if self.job is not None:
+            self.job.wait(10.0)
+        self.let_go()

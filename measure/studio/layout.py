@@ -1,0 +1,97 @@
+"""What every page has: the head with the way through them, and what all of them need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from nicegui import run, ui
+
+from measure import api
+from measure.errors import MeasureError
+from measure.studio.bench import Bench
+
+_T = TypeVar("_T")
+PAGES = (("/", "Cameras"), ("/measure", "Measure"))
+_HEAD = """<link rel="stylesheet" href="/studio/studio.css">
+<script defer src="/studio/studio.js"></script>"""
+
+
+@contextmanager
+def page(bench: Bench, path: str) -> Iterator[None]:
+    """The frame round a page, with what is being done at the moment at its foot."""
+    ui.add_head_html(_HEAD)
+    ui.colors(primary="#1f5f99")
+    with ui.header().classes("head"), ui.row().classes("way"):
+        for target, name in PAGES:
+            link = ui.link(name, target).classes("here" if target == path else "")
+            link.props(f'aria-current="{"page" if target == path else "false"}"')
+    with ui.column().classes("page"):
+        yield
+    with ui.footer().classes("foot"):
+        _job_line(bench)
+
+
+def _job_line(bench: Bench) -> None:
+    """What goes on, how far it is, and how it ended."""
+    text, bar = ui.label().classes("job"), ui.linear_progress(0.0, show_value=False)
+    stop = ui.button("Stop", on_click=bench.stop).props("dense")
+
+    def show() -> None:
+        job = bench.job
+        done, total = job.done if job else (0, None)
+        bar.set_visibility(bool(job and job.runs and total))
+        stop.set_visibility(bool(job and job.runs))
+        bar.value = done / total if total else 0.0
+        if job is None:
+            text.text = str(bench.folder)
+        elif job.runs:
+            text.text = f"{job.title} ..." + (f" {done} of {total}" if total else "")
+        else:
+            text.text = job.problem or job.result
+        put(text, "wrong", bool(job and job.problem))
+
+    ui.timer(0.3, show)
+
+
+async def tried(work: Callable[[], _T]) -> _T | None:
+    """Do something that may take a while; what the user can mend is shown, and gives None."""
+    try:
+        return await run.io_bound(work)
+    except MeasureError as problem:
+        told = str(problem)
+    except OSError as problem:
+        told = f"{problem.filename or ''}: {problem.strerror}"
+    ui.notify(told, type="negative", multi_line=True, timeout=10_000)
+    return None
+
+
+def choice(
+    label: str, bench: Bench, files: Sequence[Path], several: bool = False, newest: bool = True
+) -> ui.select:
+    """A choice among files of the folder, the newest at first; none of them is a choice, too."""
+    names = [str(file.relative_to(bench.folder)) for file in files]
+    first = names[:1] if newest else []
+    value = first if several else next(iter(first), None)
+    return ui.select(names, label=label, value=value, multiple=several, clearable=True).classes(
+        "field"
+    )
+
+
+def chosen(bench: Bench, select: ui.select) -> list[Path]:
+    """The files that are chosen."""
+    names = select.value if isinstance(select.value, list) else [select.value]
+    return [api.inside(bench.folder, name) for name in names if name]
+
+
+def picture(camera: str, width_px: int) -> ui.element:
+    """The newest picture of a camera, which the browser fetches again a few times a second."""
+    shown = ui.element("img").classes("live")
+    return shown.props(f'data-live="/picture/{camera}?width={width_px}" alt="{camera}"')
+
+
+def put(element: ui.element, name: str, there: bool) -> None:
+    """Give an element a class, or take it away."""
+    element.classes(add=name if there else None, remove=None if there else name)

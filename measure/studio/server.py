@@ -1,0 +1,116 @@
+"""The server of the set-up page."""
+
+from __future__ import annotations
+
+import secrets
+import signal
+import socket
+import webbrowser
+from collections.abc import Callable
+from contextlib import suppress
+from importlib import resources
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI
+from nicegui import app as pages
+from nicegui import ui
+from starlette.responses import FileResponse, PlainTextResponse, Response
+
+from measure import api
+from measure.errors import ConfigError, MeasureError
+from measure.studio import cameras_page, measure_page
+from measure.studio.bench import Bench
+from measure.studio.door import Door
+
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_SERVED = (".html", ".csv", ".png", ".jpg", ".pdf")
+_WIDEST_PX = 4000
+_PATIENCE_S = 60.0  # How long a page waits for a server that compiles, before it is loaded anew
+
+
+def serve(
+    folder: Path,
+    registry: api.Registry,
+    cameras: tuple[str, ...] = (),
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    browser: bool = True,
+    tell: Callable[[str], None] = print,
+) -> None:
+    """Serve the set-up page until it is interrupted.
+
+    Args:
+        folder: where everything is written; made if it is not there.
+        cameras: NAME=ADDRESS each; those of the last time if omitted.
+        host: address to listen on; on any but loopback the page's address holds a token.
+        browser: open the page in a browser.
+        tell: called with the address of the page.
+
+    Raises:
+        ConfigError: nothing can listen there; or cameras that cannot be used.
+        OSError: the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    token = "" if host in _LOOPBACK else secrets.token_urlsafe(24)
+    bench = Bench(folder, registry, local=not token)
+    with _listening(host, port) as listening:
+        bench.load_cameras(cameras)
+        shown = f"http://{host}:{listening.getsockname()[1]}/" + (
+            f"?token={token}" if token else ""
+        )
+        tell(shown)
+        if browser:
+            webbrowser.open(shown)
+        config = uvicorn.Config(
+            Door(_application(bench), token), log_level="warning", timeout_graceful_shutdown=1
+        )
+        pages.on_shutdown(bench.close)
+        # The server hears both signals, and raises them again when it has ended in order.
+        signal.signal(signal.SIGTERM, lambda *_: None)
+        with suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run([listening])
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except (OSError, OverflowError) as problem:
+        reason = getattr(problem, "strerror", None) or problem
+        raise ConfigError(f"{host}, port {port}: nothing can listen there ({reason})") from None
+
+
+def _application(bench: Bench) -> FastAPI:
+    """All pages, the pictures of the cameras, and the files of the folder."""
+    application = FastAPI(openapi_url=None)
+
+    @application.get("/picture/{camera}")
+    def picture(camera: str, width: int = 480) -> Response:
+        found = bench.preview.shown(camera, min(max(width, 1), _WIDEST_PX))
+        if found is None:
+            return Response(status_code=204)
+        return Response(found[0], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    @application.get("/file/{name:path}")
+    def file(name: str) -> Response:
+        try:
+            path = api.inside(bench.folder, name)
+        except MeasureError as problem:
+            return PlainTextResponse(str(problem), 403)
+        if path.suffix not in _SERVED or not path.is_file():
+            return PlainTextResponse(f"{name}: no such file", 404)
+        return FileResponse(path)
+
+    static = resources.files("measure.studio") / "static"
+    pages.add_static_files("/studio", str(static))
+    for page in (cameras_page, measure_page):
+        page.add(bench)
+    ui.run_with(
+        application,
+        title="triball studio",
+        dark=None,
+        reconnect_timeout=_PATIENCE_S,
+        show_welcome_message=False,
+    )
+    return application

@@ -1,0 +1,58 @@
+"""A desk with cameras and the page that serves it, for the tests."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tests.chromium import Chromium
+
+BUTTON = "[...document.querySelectorAll('button')].find(b => b.innerText.trim().match(/{}/i))"
+FOOT = "document.querySelector('.q-footer').innerText"
+
+
+@contextmanager
+def studio(folder: Path, *words: str) -> Iterator[str]:
+    """`measure studio` in a process of its own; yields the address that it prints."""
+    command = [sys.executable, "-m", "measure", "studio", str(folder), *words]
+    with subprocess.Popen(
+        [*command, "--port", "0", "--no-browser"],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    ) as process:
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().strip()
+        finally:
+            process.terminate()
+            process.wait(30)
+    assert process.returncode == 0
+
+
+def press(page: Chromium, text: str) -> None:
+    """Click the button with this text."""
+    page.wait_for(f"!!{BUTTON.format(text)}", 20)
+    page.evaluate(f"((button) => {{ button.focus(); button.click() }})({BUTTON.format(text)})")
+
+
+def choose(page: Chromium, label: str, text: str) -> None:
+    """Choose in the select with this label what holds this text."""
+    field = f"""[...document.querySelectorAll('.q-select')]
+        .find(s => s.innerText.includes({label!r}))"""
+    page.wait_for(f"!!{field}", 20)
+    page.evaluate(f"{field}.querySelector('.q-field__control').click()")
+    option = f"[...document.querySelectorAll('.q-menu .q-item')].find(i => i.innerText == {text!r})"
+    page.wait_for(f"!!{option}", 20)
+    page.evaluate(f"{option}.click()")
+
+
+def fill(page: Chromium, label: str, text: str) -> None:
+    """Type into the field with this label."""
+    field = f"""document.querySelector('input[aria-label="{label}"]')"""
+    page.wait_for(f"!!{field}", 20)
+    page.evaluate(f"{field}.focus()")
+    page.send("Input.insertText", text=text)

@@ -1,0 +1,90 @@
+"""Who is let in: this machine, or whoever knows the token; no page of another site."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from measure.studio.door import Door
+
+HERE = "127.0.0.1:8080"
+INSIDE = [{"type": "inside"}]
+
+
+async def inner(scope, receive, send):
+    """What stands behind the door."""
+    await send({"type": "inside"})
+
+
+def answer(token="", kind="http", query="", **headers):
+    """What is sent to a request with these headers: `INSIDE` if it came in."""
+    headers = {"host": HERE, **headers}
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {
+        "type": kind,
+        "path": "/measure",
+        "query_string": query.encode(),
+        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+    }
+    asyncio.run(Door(inner, token)(scope, None, send))
+    return sent
+
+
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+@pytest.mark.parametrize(
+    ("headers", "comes_in"),
+    [
+        ({}, True),
+        ({"host": "localhost:8080"}, True),
+        ({"host": "[::1]:8080"}, True),
+        ({"origin": f"http://{HERE}"}, True),
+        ({"host": "evil.example:8080"}, False),  # a name that was led to 127.0.0.1
+        ({"host": ""}, False),
+        ({"origin": "http://evil.example"}, False),
+        ({"origin": "http://127.0.0.1:9999"}, False),  # another program's page on this machine
+        ({"origin": "null"}, False),
+        ({"host": "evil.example", "origin": "http://evil.example"}, False),
+    ],
+)
+def test_on_loopback_only_its_own_pages_come_in(kind, headers, comes_in):
+    sent = answer(kind=kind, **headers)
+    if comes_in:
+        assert sent == INSIDE
+    elif kind == "http":
+        assert sent[0]["status"] == 403
+    else:
+        assert sent == [{"type": "websocket.close", "code": 1008}]
+
+
+@pytest.mark.parametrize(
+    ("query", "headers"),
+    [
+        ("", {}),
+        ("token=wrong", {}),
+        ("token=", {}),
+        ("", {"cookie": "studio=wrong"}),
+        ("", {"cookie": "studio"}),
+        ("", {"cookie": 'studio="secr'}),
+        ("", {"cookie": "studio=secret", "origin": "http://evil.example"}),
+    ],
+)
+def test_elsewhere_nobody_comes_in_without_the_token(query, headers):
+    for kind, refusal in (("http", "status"), ("websocket", "code")):
+        (first, *_) = answer("secret", kind, query, host="10.0.0.7:8080", **headers)
+        assert first.get(refusal) in (403, 1008)
+
+
+def test_the_token_becomes_a_cookie_and_leaves_the_address():
+    (led, *_) = answer("secret", query="token=secret", host="10.0.0.7:8080")
+    headers = {name.decode(): value.decode() for name, value in led["headers"]}
+    assert led["status"] == 303
+    assert headers["location"] == "/measure"
+    cookie, *manners = headers["set-cookie"].split("; ")
+    assert {"HttpOnly", "SameSite=strict"} <= set(manners)
+    for kind in ("http", "websocket"):
+        assert answer("secret", kind, host="10.0.0.7:8080", cookie=cookie) == INSIDE
