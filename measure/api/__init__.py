@@ -57,7 +57,15 @@ from measure.api.results import body_names, compare, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.synchronising import SyncedClock, sync
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
-from measure.capture import CameraAddress, CameraCount, Control, DeviceControls, FoundCamera, Mode, parse_cameras
+from measure.capture import (
+    CameraAddress,
+    CameraCount,
+    Control,
+    DeviceControls,
+    FoundCamera,
+    Mode,
+    parse_cameras,
+)
 from measure.host import Registry
 from measure.measuring import Measurement
 from measure.results.evaluation import evaluation_tables
