@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count, islice
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from measure.api.checking_files import check_files, clocks_apart, file_findings
 from measure.api.measuring import measure_session, search_frame_sets
 from measure.api.profiles import build_detectors, load_profile
 from measure.api.synchronising import find_offsets, shift_clocks
@@ -25,12 +27,10 @@ from measure.checking import (
     SearchSample,
     camera_misfits,
     coverage_findings,
-    damage_findings,
     duplicate_findings,
     expected_accuracy,
     misfit_findings,
     search_sample,
-    stamp_findings,
     with_velocities,
     worst_first,
 )
@@ -39,12 +39,12 @@ from measure.checking.body_explanations import body_finding, size_findings, twin
 from measure.checking.camera_errors import CameraError
 from measure.checking.clocks import CameraClock
 from measure.checking.motion import MotionCheck, check_motion, motion_findings, scale_findings
-from measure.errors import ConfigError, SessionError
+from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.processes import Progress
-from measure.session import Session, check_overlap, damaged_frames, holds_jpeg, open_session
+from measure.session import Session, holds_jpeg, open_session, session_lacks
 
 _REACH_MM = 40.0
 _LEAST_NOISE_PX = 0.1
@@ -66,16 +66,17 @@ class SessionCheck:
     frame_sets: int
     looked_at: int  # how many of them were searched
     findings: tuple[Finding, ...]
-    coverage: tuple[Coverage, ...]
-    misfits: tuple[CameraMisfit, ...]  # cameras that do not stand where the calibration says
-    body: BodyCheck  # the balls' distances and radii against the body file
-    clocks: tuple[CameraClock, ...]  # of all cameras; empty if the motion was not measured
-    camera_errors: tuple[CameraError, ...]  # cameras whose clock, direction or focal length is off
-    scale: float  # how many times as far apart as in the body file the balls are; NaN if unknown
-    scale_sd: float
+    coverage: tuple[Coverage, ...] = ()
+    misfits: tuple[CameraMisfit, ...] = ()  # cameras that do not stand where the calibration says
+    # the balls' distances and radii against the body file.
+    body: BodyCheck = field(default_factory=BodyCheck)
+    clocks: tuple[CameraClock, ...] = ()  # of all cameras; empty if the motion was not measured
+    camera_errors: tuple[CameraError, ...] = ()  # whose clock, direction or focal length is off
+    scale: float = math.nan  # times as far apart as in the body file the balls are, if known
+    scale_sd: float = math.nan
     # (27, 5) expected standard deviations round the place where the body was (see
     # `expected_accuracy`), or None if it was never found.
-    accuracy: Floats | None
+    accuracy: Floats | None = None
 
     @property
     def believable(self) -> bool:
@@ -93,7 +94,7 @@ def check(
     clock_samples: int = 120,
     progress: Progress | None = None,
 ) -> SessionCheck:
-    """Find what is wrong or weak in a recording.
+    """Find what is wrong or weak in a recording; without a body or a calibration, in its files.
 
     Args:
         profile: whose detector searches the pictures, and whose stages measure the motion.
@@ -105,27 +106,24 @@ def check(
         raise ConfigError(
             f"{samples} samples, {clock_samples} clock samples: expected at least 1 and 0"
         )
+    given = {"body": body, "calibration": calibration}
+    if lacking := [name for name in session_lacks(session_path) if given[name] is None]:
+        name, frame_sets, found = check_files(session_path, lacking, progress)
+        return SessionCheck(name, frame_sets, frame_sets, found)
     with open_session(session_path, calibration, body, clocks_apart=clock_samples > 0) as session:
         looking = _Looking(
             session, registry, profile or load_profile(), samples, clock_samples, progress
         )
         look = looking.with_clocks_set() if clock_samples else looking.look()
-        pictures = list(look.pictures)
-        jpeg = [stream for stream in session.streams.values() if holds_jpeg(stream)]
-        for name, frames in damaged_frames(jpeg, looking.step).items():
-            pictures += damage_findings(name, frames, len(session.streams[name]))
-        return _concluded(session, look, pictures)
+        findings = [*look.pictures, *file_findings(session.streams, session.notes, looking.step)]
+        return _concluded(session, look, findings)
 
 
-def _concluded(session: Session, look: _Look, pictures: list[Finding]) -> SessionCheck:
-    findings = pictures + [Finding(Level.NOTE, "frames", note) for note in session.notes]
-    findings += [Finding(Level.WRONG, "clock", text) for text in session.clock_notes()]
+def _concluded(session: Session, look: _Look, findings: list[Finding]) -> SessionCheck:
     if session.other_bodies:
         others = ", ".join(body.name for body in session.other_bodies)
         alone = f"checked with '{session.body.name}' alone; with --body FILE also {others}"
         findings.append(Finding(Level.NOTE, "body", alone))
-    for stream in session.streams.values():
-        findings += stamp_findings(stream.name, stream.times_s, stream.frames)
     motion, searched, misfits = look.motion, look.searched, look.misfits
     misplaced = misfit_findings(misfits, look.tried_s)
     by_motion = motion_findings(motion, {misfit.camera for misfit in misfits}, look.instead)
@@ -233,7 +231,7 @@ class _Looking:
         kept if the cameras then agree; else the stamps stay as they are. SessionError: the stamps
         are of two clocks, and the motion does not tell which.
         """
-        apart = _apart(self.session)
+        apart = clocks_apart(self.session.streams)
         look = None if apart else self.look()
         if look is None or look.doubtful:
             given = self.session, self.registry, self.profile
@@ -332,15 +330,6 @@ class _Looking:
                 compared = len(passed.compared.get(name, ()))
             out += duplicate_findings(name, positions, compared, stream.times_s, stream.frames)
         return out
-
-
-def _apart(session: Session) -> SessionError | None:
-    """What contradicts that all stamps are of one clock, if anything does."""
-    try:
-        check_overlap(list(session.streams.values()))
-    except SessionError as error:
-        return error
-    return None
 
 
 def _spread_pairs(total: int, samples: int) -> list[int]:

@@ -64,7 +64,9 @@ class RunLog:
         run_id = digest([(out / "run.toml").read_bytes()])
         file = unfinished(self._path) if self._path and kept else self._path
         stream = open_recording(
-            name, cameras, file, options.viewer, run_id, [body.name for body in bodies]
+            *(name, cameras, file, options.viewer, run_id),
+            bodies=[body.name for body in bodies],
+            truth=bool(truths),
         )
         self._log = RunRecording(
             stream,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,8 +128,13 @@ def lens_findings(rig: RigCalibration) -> list[Finding]:
                 "is in mirror (selfie) mode switch that off"
             )
             findings.append(Finding(Level.WEAK, "lens", text, name))
+        kinds = defaultdict[str, list[str]](list)
         for picture, reason in lens.views.left_out.items():
-            findings.append(Finding(Level.NOTE, "lens", f"{picture} left out: {reason}", name))
+            kinds[reason.partition(" (")[0]].append(f"{picture} left out: {reason}")
+        for kind, lines in kinds.items():
+            few = f"{len(lines)} pictures left out, {kind}; first {lines[0].partition(' left')[0]}"
+            text = lines[0] if len(lines) == 1 else few
+            findings.append(Finding(Level.NOTE, "lens", text, name))
         findings += [Finding(Level.NOTE, "lens", reason, name) for reason in lens.reasons]
     return findings
 

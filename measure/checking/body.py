@@ -43,10 +43,10 @@ class LocatedBalls:
 class BodyCheck:
     """The body as recorded, compared with its file."""
 
-    distances: tuple[Compared, ...]  # of every pair of balls that was located often enough
-    radii: tuple[Compared, ...]  # of every ball that was located often enough
-    findings: tuple[str, ...]  # what is wrong, a line each; empty if nothing is
-    blind_to: tuple[str, ...]  # mistakes that the located balls cannot show, a line each
+    distances: tuple[Compared, ...] = ()  # of every pair of balls that was located often enough
+    radii: tuple[Compared, ...] = ()  # of every ball that was located often enough
+    findings: tuple[str, ...] = ()  # what is wrong, a line each; empty if nothing is
+    blind_to: tuple[str, ...] = ()  # mistakes that the located balls cannot show, a line each
 
 
 def locate_balls(

@@ -108,8 +108,9 @@ class _StateLines:
         now = time.monotonic()
         if now - self._last >= _LINE_EVERY_S:
             self._last = now
-            away = [f"{', '.join(state.away)} away"] if state.away else []
-            console.note("; ".join([*map(_where, state.latest), *away, _pace(state)]))
+            there = f"{len(state.cameras) - len(state.away)} of {len(state.cameras)} cameras"
+            away = f" ({', '.join(state.away)} away)" if state.away else ""
+            console.note("; ".join([*map(_where, state.latest), there + away, _pace(state)]))
 
 
 def _where(latest: Measurement) -> str:

@@ -70,13 +70,13 @@ class ViewerOptions:
     """The viewer, and its recording.
 
     Attributes:
-        images: pictures to keep in the viewer's recording: none, all, or every N-th set.
+        images: pictures to keep in the viewer's recording: none, all, or those of every N-th set.
         recording: write run.rrd for the viewer.
         spawn: open the viewer at once and watch while it measures.
         connect: send to a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
     """
 
-    images: str = "none"
+    images: str = "10"
     recording: Annotated[bool, Parameter(negative="--no-recording")] = True
     spawn: bool = False
     connect: str | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from measure.cli.options import BodyOptions, CaptureOptions
 
 if TYPE_CHECKING:
     from measure.capture import CameraCount, Outage
+    from measure.model import Image
 
 _UNEVEN_S = 2e-3  # Spread of the times of arrival, in s, from which a warning is printed
 _LISTED = 10  # Outages of a camera that are listed at the end; of more, the latest
@@ -25,6 +26,7 @@ def record(
     calibration: Path | None = None,
     bodies: BodyOptions = BodyOptions(),
     capture: CaptureOptions = CaptureOptions(),
+    spawn: bool = False,
     json: JsonFlag = False,
 ) -> None:
     """Record cameras into a session.
@@ -38,6 +40,7 @@ def record(
         out: the session's folder, new or empty.
         calibration: the cameras' calibration, copied into the session as the bodies' files are;
             they may come later.
+        spawn: open the viewer, and see there what the cameras show.
     """
     from measure import api
 
@@ -45,6 +48,7 @@ def record(
     given, request = api.parse_cameras(cameras, names), capture.request()
     for line in api.usb_notes(given, calibration, request):
         console.note(line)
+    preview = _preview([one.name for one in given]) if spawn else None
     with console.progress("recording", "pictures") as report:
         recorded = api.record(
             given,
@@ -56,12 +60,21 @@ def record(
             seconds=capture.seconds,
             on_state=lambda counts: report(sum(c.pictures for c in counts.values()), None),
             on_outage=note_outage,
+            on_image=preview,
         )
     if json:
         console.print_json(recorded)
         return
     print_cameras(recorded.cameras, recorded.changes)
     console.print_text(f"written to {out}; what is weak in it: measure check {out}")
+
+
+def _preview(cameras: Sequence[str]) -> Callable[[Image], None]:
+    """Open the viewer; returns what shows a picture there."""
+    from measure.viewing.recording import Preview
+    from measure.viewing.viewer import open_viewer
+
+    return Preview(cameras, open_viewer([]).listens).add
 
 
 def note_outage(outage: Outage) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -207,6 +208,26 @@ def open_session(
         clock_digest=digest,
         clock_shifts_s=shifts,
     )
+
+
+@contextmanager
+def open_streams(path: Path) -> Iterator[dict[str, Stream]]:
+    """The cameras of a session that may have neither body nor calibration, by name."""
+    file = session_file(path)
+    with ExitStack() as stack:
+        streams = {}
+        for table in load_toml(file, SessionModel).cameras:
+            streams[table.name] = _open_stream(table, file.parent)
+            stack.callback(streams[table.name].close)
+        yield streams
+
+
+def session_lacks(path: Path) -> list[str]:
+    """Which of "body" and "calibration" a session does not name."""
+    given = load_toml(session_file(path), SessionModel)
+    bodies = given.body or given.session.body or given.session.bodies
+    known = {"body": bodies, "calibration": given.session.calibration}
+    return [name for name, there in known.items() if not there]
 
 
 def session_truth(path: Path | str) -> Path | None:

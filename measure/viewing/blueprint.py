@@ -18,8 +18,10 @@ _EYE_BESIDE = np.array([0.55, -1.6, 0.95])
 """Where one looks from: right, back and above, in sizes of the rig."""
 
 
-def run_blueprint(cameras: Sequence[Camera], bodies: Sequence[str] = ("",)) -> rrb.Blueprint:
-    """3-D scene and pictures above, traces below, for bodies of these names."""
+def run_blueprint(
+    cameras: Sequence[Camera], bodies: Sequence[str] = ("",), truth: bool = False
+) -> rrb.Blueprint:
+    """3-D scene and pictures above, traces below, for bodies of these names, known or not."""
     trails = [entities.TRAIL + entities.suffix(name, len(bodies) > 1) for name in bodies]
     names = [camera.name for camera in cameras]
     scene = rrb.Spatial3DView(
@@ -31,7 +33,11 @@ def run_blueprint(cameras: Sequence[Camera], bodies: Sequence[str] = ("",)) -> r
     )
     pictures = rrb.Grid(*map(_picture, cameras), name="Cameras")
     traces = rrb.Horizontal(
-        plot("Error [mm]", "plots/error_mm"),
+        rrb.Tabs(
+            *([plot("Error [mm]", "plots/error_mm")] if truth else []),
+            plot("Position [mm]", "plots/position_mm"),
+            plot("Rotation [deg]", "plots/rotation_deg"),
+        ),
         plot("Position SD [mm]", "plots/position_sd_mm"),
         plot("Residual [px]", "plots/residual_px"),
         plot("Ball distances [mm]", "plots/distance_mm"),

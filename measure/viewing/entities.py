@@ -64,6 +64,9 @@ robot_error = "plots/robot_error_mm/{}".format
 """Distance of the reported or corrected position from the measured one."""
 CORRECTED_SD = "plots/correction/sd_mm"
 UNFAMILIAR = "plots/correction/unfamiliar"
+position = "plots/position_mm/{}".format  # The body's position in the world: x, y or z
+rotation = "plots/rotation_deg/{}".format
+"""How far the body is turned since the run's first pose, as a rotation vector: x, y or z."""
 ROTATION_ERROR = "plots/error_deg/rotation"
 POSITION_SD = "plots/position_sd_mm/3d"
 EFFECTIVE_CAMERAS = "plots/effective_cameras/count"
@@ -94,7 +97,7 @@ class FrameSetBatch:
     def __init__(
         self, stream: rr.RecordingStream, frames: ArrayLike, times_s: ArrayLike, suffix: str = ""
     ) -> None:
-        self._stream, self._suffix = stream, suffix
+        self._stream, self.suffix = stream, suffix
         self._frames = np.asarray(frames, dtype=np.int64)
         self.times_s = np.asarray(times_s, dtype=np.float64)
         self._index = self._on_timelines(np.ones(len(self._frames), dtype=bool))
@@ -102,7 +105,7 @@ class FrameSetBatch:
     def send(self, entity: str, *columns: Iterable[Any], rows: Bools | None = None) -> None:
         """Send one entity's components, for all frame sets or for some rows (n,) of them."""
         index = self._index if rows is None else self._on_timelines(rows)
-        self._stream.send_columns(entity + self._suffix, indexes=index, columns=chain(*columns))
+        self._stream.send_columns(entity + self.suffix, indexes=index, columns=chain(*columns))
 
     def scalars(self, entity: str, values: Floats, rows: Bools | None = None) -> None:
         """Send numbers, one a row; NaN leaves a gap in the plot."""

@@ -13,16 +13,19 @@ from urllib.parse import urlsplit
 import av
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
+from scipy.spatial.transform import Rotation
 
 from measure.errors import ConfigError
 from measure.measuring import Measurement, Status
-from measure.model import Body, Camera, FrameSet
+from measure.model import Body, Camera, FrameSet, Image
 from measure.session import Session, Stream, Trajectory
 from measure.viewing import entities
-from measure.viewing.blueprint import run_blueprint
+from measure.viewing.blueprint import framed, run_blueprint
 from measure.viewing.entities import FrameSetBatch, set_time
 from measure.viewing.scene import (
     log_rig,
+    picture_of,
     send_balls,
     send_errors,
     send_poses,
@@ -110,6 +113,7 @@ class RunRecording:
         self._status = dict[str, str]()
         self._sent_at = time.monotonic()
         self._sets: list[Sequence[Measurement]] = []
+        self._first = dict[str, Rotation]()
         self._pictured: list[bool] = []
         log_rig(stream, bodies, cameras)
         for name, video in self._videos.items():
@@ -157,7 +161,7 @@ class RunRecording:
             times_s = [one.time_s for one in sets]
             columns = FrameSetBatch(self._stream, [one.index for one in sets], times_s, end)
             send_balls(columns, sets, body, cameras)
-            send_poses(columns, sets)
+            send_poses(columns, sets, self._first)
             send_views(columns, sets, pictured, body, cameras)
             send_traces(columns, sets, cameras)
             if body.name in self._truths:
@@ -181,15 +185,35 @@ class RunRecording:
     def _log_images(self, measured: Measurement, frame_set: FrameSet) -> None:
         self._set_time(measured)
         for name, image in frame_set.images.items():
-            shown: rr.AsComponents
+            shown = picture_of(image)
             if name in self._videos:
                 time_ns = self._videos[name].times_ns[image.frame]
                 shown = rr.VideoFrameReference(nanoseconds=time_ns)
-            elif image.encoded is not None:
-                shown = rr.EncodedImage(contents=image.encoded, media_type="image/jpeg")
-            else:
-                shown = rr.Image(image.pixels, color_model="BGR").compress(jpeg_quality=90)
             self._stream.log(entities.image(name), shown)
+
+
+class Preview:
+    """What cameras show, in a viewer that runs: some pictures a second of each.
+
+    Args:
+        address: of the viewer; ConfigError if none listens there.
+    """
+
+    def __init__(self, cameras: Sequence[str], address: str) -> None:
+        check_listening(address)
+        self._stream = rr.RecordingStream("triball")
+        views = (rrb.Spatial2DView(origin=entities.image(name), name=name) for name in cameras)
+        self._stream.set_sinks(
+            rr.GrpcSink(address), default_blueprint=framed(rrb.Grid(*views, name="Cameras"))
+        )
+        self._due_s = dict.fromkeys(cameras, 0.0)
+
+    def add(self, image: Image) -> None:
+        """Show a picture, if the camera's last one has been shown for long enough."""
+        if image.time_s >= self._due_s[image.camera]:
+            self._due_s[image.camera] = image.time_s + LIVE_PERIOD_S
+            set_time(self._stream, image.time_s)
+            self._stream.log(entities.image(image.camera), picture_of(image))
 
 
 CONNECT_WITHIN_S = 5.0  # How long a viewer that was just started may take to listen
@@ -202,19 +226,20 @@ def open_recording(
     address: str | None = None,
     part_of: str | None = None,
     bodies: Sequence[str] = ("",),
+    truth: bool = False,
 ) -> rr.RecordingStream:
     """A recording that is written as it goes: to a file, to a viewer that runs, or to both.
 
     The cameras make the layout that travels inside; recordings that are `part_of` one name are
-    shown as one. ConfigError: no viewer listens at the address (as
-    `rerun+http://127.0.0.1:9876/proxy`).
+    shown as one. `truth` says whether errors are shown, beside where the body is. ConfigError: no
+    viewer listens at the address (as `rerun+http://127.0.0.1:9876/proxy`).
     """
     stream = rr.RecordingStream("triball", recording_id=part_of)
     if address is not None:
         check_listening(address)
     sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(path)] if path else []
     sinks += [rr.GrpcSink(address)] if address else []
-    stream.set_sinks(*sinks, default_blueprint=run_blueprint(cameras, bodies))
+    stream.set_sinks(*sinks, default_blueprint=run_blueprint(cameras, bodies, truth))
     stream.send_recording_name(name)
     return stream
 

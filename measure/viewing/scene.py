@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from measure.arrays import Bools, Floats
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement
-from measure.model import BallView, Body, Camera, Detection, Pose
+from measure.model import BallView, Body, Camera, Detection, Image, Pose
 from measure.model.observations import Reason, State
 from measure.session import Trajectory
 from measure.viewing import entities, state_colors
@@ -48,8 +48,14 @@ def send_balls(
         columns.scalars(entities.distance(first, second), np.linalg.norm(apart, axis=1) - nominal)
 
 
-def send_poses(columns: FrameSetBatch, sets: Sequence[Measurement]) -> None:
-    """The body's axes, trail and uncertainty; without a pose none of them is shown."""
+def send_poses(
+    columns: FrameSetBatch, sets: Sequence[Measurement], first: dict[str, Rotation]
+) -> None:
+    """The body's axes, trail and uncertainty; without a pose none of them is shown.
+
+    Args:
+        first: by body's suffix its first rotation, which is put in.
+    """
     poses = [one.pose for one in sets if one.pose is not None]
     here = np.array([one.pose is not None for one in sets])
     place, turn = np.zeros((len(sets), 3)), np.zeros((len(sets), 4))
@@ -74,6 +80,14 @@ def send_poses(columns: FrameSetBatch, sets: Sequence[Measurement]) -> None:
     sd = np.full(len(sets), np.nan)
     sd[here] = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     columns.scalars(entities.POSITION_SD, sd)
+    along = np.full((len(sets), 6), np.nan)
+    if poses:
+        turns = Rotation.from_quat(turn[here])
+        since = turns * first.setdefault(columns.suffix, turns[0]).inv()
+        along[here] = np.hstack([place[here], since.as_rotvec(degrees=True)])
+    for axis, moved, turned in zip("xyz", along[:, :3].T, along[:, 3:].T, strict=True):
+        columns.scalars(entities.position(axis), moved)
+        columns.scalars(entities.rotation(axis), turned)
 
 
 def send_traces(
@@ -140,6 +154,9 @@ def log_rig(stream: rr.RecordingStream, bodies: Sequence[Body], cameras: Sequenc
             entities.error(axis) + end: (axis + of, color)
             for axis, color in entities.ERROR_COLORS.items()
         }
+        for axis in "xyz":
+            for entity in (entities.position(axis), entities.rotation(axis)):
+                lines[entity + end] = (axis + of, entities.ERROR_COLORS[axis])
         for index, camera in enumerate(cameras):
             color = entities.line_color(index)
             lines[entities.residual(camera.name) + end] = (camera.name + of, color)
@@ -204,6 +221,13 @@ def _log_body(stream: rr.RecordingStream, body: Body, end: str) -> None:
 Colors = npt.NDArray[np.uint32]
 _AROUND = np.linspace(0.0, 2 * np.pi, 33)
 _CIRCLE = np.column_stack([np.cos(_AROUND), np.sin(_AROUND)])
+
+
+def picture_of(image: Image) -> rr.AsComponents:
+    """A picture as it is logged, as the camera compressed it if it did."""
+    if image.encoded is not None:
+        return rr.EncodedImage(contents=image.encoded, media_type="image/jpeg")
+    return rr.Image(image.pixels, color_model="BGR").compress(jpeg_quality=90)
 
 
 def send_views(

@@ -48,7 +48,9 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
     if web:
         command += ["--serve-web", "--web-viewer-port", str(web_port)]
         address = f"http://{bind}:{web_port}?url={listens.replace('+', '%2B')}"
-    return Viewer(subprocess.Popen(command, stdout=sys.stderr), address, listens)
+    # In a session of its own it outlives the Ctrl-C that ends a measurement.
+    process = subprocess.Popen(command, stdout=sys.stderr, start_new_session=True)
+    return Viewer(process, address, listens)
 
 
 def _refuse_what_is_no_recording(path: Path) -> None:

@@ -53,3 +53,22 @@ def test_videos_of_other_codecs_are_passed_over(tmp_path, said) -> None:
         write_video(recording.path / f"{camera}.mp4", codec, frames=8)
         recording.replace("session.toml", f'images = "{camera}/*.jpg"', f'video = "{camera}.mp4"')
     assert said(recording.path) == []
+
+
+def test_a_session_without_body_and_calibration_is_checked_as_far_as_it_can_be(tmp_path, capsys):
+    """As `measure record` leaves it."""
+    recording = write_recording(tmp_path / "rec", frames=8)
+    for line in ('body = "body.toml"\n', 'calibration = "calibration.toml"\n'):
+        recording.replace("session.toml", line, "")
+    (recording.path / "cam1" / "000003.jpg").write_bytes(_damaged(_rough(3)))
+    (recording.path / "cam0" / "000002.jpg").unlink()
+    assert main(["check", str(recording.path), "--json"]) == 3
+    found = json.loads(capsys.readouterr().out)
+    texts = [f["text"] for f in found["findings"]]
+    assert found["frame_sets"] == 8
+    assert "cam1: 1 of 8 pictures are damaged (frame 3)" in " ".join(texts)
+    assert "cam0': 1 of 8 frames have no image" in " ".join(texts)
+    assert texts[-1].endswith("that needs --body FILE and --calibration FILE")
+    body = ["--body", str(recording.path / "body.toml")]
+    assert main(["check", str(recording.path), *body]) == 3
+    assert "that needs --calibration FILE" in capsys.readouterr().out

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from measure.calibration import Chessboard, Corners, calibrate_lens, choose_views
 from measure.calibration.board_views import fit_lens, start_intrinsics
+from measure.calibration.findings import lens_findings
 from measure.calibration.lens import LENS_MODELS, intrinsics_vector
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError
@@ -145,3 +147,16 @@ def test_no_fisheye_is_advised_for_a_wide_pinhole() -> None:
     wide = Intrinsics(SIZE, np.array([[640.0, 0, 648], [0, 641, 352], [0, 0, 1]]))
     found = calibrate_lens(SMALL_BOARD, wide_views(wide), "cam0")
     assert not any("fisheye" in reason for reason in found.reasons)
+
+
+def test_notes_of_one_kind_are_one_line() -> None:
+    left_out = dict.fromkeys([f"{k:02d}.jpg" for k in range(26)], "no board found")
+    left_out |= {"30.jpg": "blurred (sharpness 1.00, others 4.00)", "31.jpg": "blurred (2.00, 4)"}
+    left_out["40.jpg"] = "the same as another view"
+    views = SimpleNamespace(covered_share=1.0, mirrored=0, left_out=left_out)
+    lens = SimpleNamespace(views=views, reasons=())
+    assert [str(found) for found in lens_findings(SimpleNamespace(lenses={"cam0": lens}))] == [
+        "note: camera cam0: 26 pictures left out, no board found; first 00.jpg",
+        "note: camera cam0: 2 pictures left out, blurred; first 30.jpg",
+        "note: camera cam0: 40.jpg left out: the same as another view",
+    ]

@@ -10,12 +10,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from cyclopts import App
 
 from measure.cli import build_app, console, main
 from measure.cli.app import GROUPS
+from measure.cli.live import _StateLines
 from measure.errors import SessionError
 
 
@@ -261,3 +263,27 @@ def test_linear_algebra_stays_on_one_thread_unless_asked(asked):
         [sys.executable, "-c", code], env=given, capture_output=True, text=True, check=True
     )
     assert ran.stdout.splitlines()[-1] == f"threads {asked or 1}"
+
+
+@pytest.mark.parametrize("words", [["check"], ["plugins", "list"], []])
+def test_what_all_commands_have_in_common_comes_last(words, capsys):
+    assert main([*words, "--help"]) == 0
+    panels = [line for line in capsys.readouterr().out.splitlines() if line.startswith("╭─ ")]
+    assert panels[-1].startswith("╭─ Options of all commands")
+
+
+def test_completion_is_installed_where_the_shell_looks(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert main(["--install-completion", "--shell", "bash"]) == 0
+    script = (tmp_path / ".local/share/bash-completion/completions/measure").read_text()
+    assert "--clock-samples" in script
+    assert all(name in script for commands in GROUPS.values() for name in commands)
+
+
+def test_a_live_line_says_how_many_cameras_are_there(monkeypatch, capsys):
+    monkeypatch.setattr("measure.cli.live._LINE_EVERY_S", 0.0)
+    cameras = dict.fromkeys(("cam0", "cam1", "cam2"))
+    state = SimpleNamespace(latest=(), cameras=cameras, away=("cam1",), rate_hz=30.0, age_s=0.02)
+    _StateLines()(state)
+    told = "2 of 3 cameras (cam1 away); 30.0 frame sets per s, known after 20 ms\n"
+    assert capsys.readouterr().err == told

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import rerun as rr
 from measurements import BODY, CAMERAS, measurement
 
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
+from measure.model import Image
 from measure.model.observations import BallView, Reason, State
 from measure.session import Trajectory
-from measure.viewing import entities, recording, state_colors
+from measure.viewing import entities, recording, state_colors, viewer
+from measure.viewing.blueprint import run_blueprint
 from measure.viewing.recording import RunRecording, open_recording
 from tests.viewing.reading import column, read_recording
 
@@ -42,6 +46,7 @@ def test_every_entity_stands_on_both_timelines(recorded):
         entities.ROTATION_ERROR,
         entities.EFFECTIVE_CAMERAS,
         *(entities.error(axis) for axis in entities.ERROR_AXES),
+        *(make(axis) for axis in "xyz" for make in (entities.position, entities.rotation)),
         *(entities.ball(name) for name in BODY.names),
         *(entities.rays(name) for name in BODY.names),
         *(entities.distance(*pair) for pair in BODY.distances()),
@@ -54,6 +59,53 @@ def test_every_entity_stands_on_both_timelines(recorded):
         }
         assert len(frames) >= 129, entity
         assert any("time" in b.schema.names for b in recorded[entity])
+
+
+def test_position_and_rotation_traces_are_those_of_the_poses(recorded):
+    for axis, place in zip("xyz", measurement(60).pose.world_from_body.translation, strict=True):
+        trace = column(recorded[entities.position(axis)], "Scalars:scalars")
+        assert trace[60] == [pytest.approx(place)]
+        assert np.isnan(trace[7])
+    begun, now = (measurement(index).pose.world_from_body for index in (0, 60))
+    turned = np.degrees((now @ begun.inverse()).rotvec)
+    for axis, angle in zip("xyz", turned, strict=True):
+        trace = column(recorded[entities.rotation(axis)], "Scalars:scalars")
+        assert trace[60] == [pytest.approx(angle, abs=1e-9)]
+        assert trace[0] == [0.0]
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_the_first_plot_shows_errors_only_where_there_is_a_truth(truth):
+    layout = run_blueprint(CAMERAS, truth=truth).root_container
+    first = [view.name for view in layout.contents[1].contents[0].contents]
+    assert first == [*(["Error [mm]"] if truth else []), "Position [mm]", "Rotation [deg]"]
+
+
+def test_a_preview_shows_five_pictures_a_second_of_each_camera(tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "check_listening", lambda address: None)
+    monkeypatch.setattr(recording.rr, "GrpcSink", lambda _: rr.FileSink(tmp_path / "seen.rrd"))
+    preview = recording.Preview(["a", "b"], "nowhere")
+    for frame in range(15):
+        for name in ("a", "b"):
+            preview.add(Image(name, frame, 1.7e9 + 0.07 * frame, lambda: None, bytes([frame])))
+    preview._stream.disconnect()
+    for name in ("a", "b"):
+        batches = read_recording(tmp_path / "seen.rrd")[entities.image(name)]
+        shown = [blob for b in batches for blob in b["EncodedImage:blob"].to_pylist()]
+        assert [bytes(one[0]) for one in shown] == [bytes([k]) for k in (0, 3, 6, 9, 12)]
+
+
+def test_a_viewer_outlives_the_interrupt_of_who_opened_it(tmp_path, monkeypatch):
+    program = tmp_path / "viewer"
+    program.write_text("#!/bin/sh\nexec sleep 60\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(viewer, "viewer_program", lambda: str(program))
+    process = viewer.open_viewer([]).process
+    try:
+        assert os.getpgid(process.pid) != os.getpgrp()
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_error_trace_is_the_error_with_gaps_without_pose(recorded):
