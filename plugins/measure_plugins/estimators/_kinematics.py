@@ -1,4 +1,7 @@
-"""From joint errors to tip errors through the forward kinematics, in torch and in ONNX."""
+"""From joint errors to tip errors through the forward kinematics: by slopes, in torch, in ONNX.
+
+An estimator's outputs are errors of the joints where the chain is known, and a direct tip error.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,22 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Graph, Value
+from measure.host import Dataset, Graph, Value
 from measure.robots import SerialChain, StateSchema
+
+
+def levers(data: Dataset) -> tuple[Floats, Floats]:
+    """Tip errors of outputs: slopes (n, 3, outputs), and what the outputs are counted in.
+
+    The units (outputs,) in rad and mm make each output move the tip by 1 mm RMS over these rows;
+    one that never moves it has a unit of zero.
+    """
+    slopes = np.tile(np.eye(3), (len(data), 1, 1))
+    if (chain := data.schema.chain) is not None:
+        slopes = np.concatenate([chain.jacobian(data.joints)[:, :3], slopes], axis=2)
+    reach = np.sqrt((slopes**2).sum(axis=1).mean(axis=0))
+    units = np.divide(1.0, reach, out=np.zeros_like(reach), where=reach > 0)
+    return slopes * units, units
 
 
 class TorchTip:
@@ -37,7 +54,7 @@ class TorchTip:
 
 
 def tip_error(graph: Graph, schema: StateSchema, features: Value, outputs: Value) -> Value:
-    """Tip error (N, 3) mm of outputs: joint errors where the chain is known, and a direct one."""
+    """Tip error (N, 3) mm of outputs."""
     if schema.chain is None:
         return outputs
     joints = schema.chain.size

@@ -9,20 +9,39 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.host import Dataset
-from measure_plugins.estimators._kinematics import TorchTip
+from measure.host import Dataset, Graph, Value
+from measure.robots import StateSchema
+from measure_plugins.estimators._kinematics import TorchTip, levers, tip_error
 
+_TURN_RAD, _SLIDE_MM = 0.05, 1.0  # joint errors (and of a tip) of an output of one
 _SOFT_MM2 = 0.25  # of the pseudo-Huber loss: quadratic below half a millimetre, linear above
 
 
 @dataclass(frozen=True, eq=False)
 class OutputUnits:
-    """Units of a net's outputs."""
+    """Units of a net's outputs: joint errors where the chain is known, and a direct tip error."""
 
-    # (outputs,) error in rad or mm of an output of one: joint errors where the chain is known, and
-    # a direct tip error (3).
-    scale: Floats
+    scale: Floats  # (outputs,) rad or mm of an output of one
+    reach_mm: Floats  # (outputs,) how far an output of one moves the tip, RMS
     middle_mm: Floats  # (3,) mean error, which is added to the net's output
+
+    @classmethod
+    def of(cls, data: Dataset) -> OutputUnits:
+        """Of training trajectories."""
+        chain, used = data.schema.chain, data.usable
+        turns = [] if chain is None else [not joint.prismatic for joint in chain.joints]
+        scale = np.where([*turns, False, False, False], _TURN_RAD, _SLIDE_MM)
+        units = levers(data.rows(used))[1]
+        reach = np.divide(scale, units, out=np.zeros_like(scale), where=units > 0)
+        middle = np.average(data.errors_mm[used], axis=0, weights=data.weights()[used])
+        return cls(scale, reach, middle)
+
+    def error_in_graph(
+        self, graph: Graph, schema: StateSchema, features: Value, outputs: Value
+    ) -> Value:
+        """Tip error (N, 3) mm of a net's outputs (N, outputs)."""
+        scaled = graph.op("Mul", outputs, self.scale)
+        return graph.op("Add", tip_error(graph, schema, features, scaled), self.middle_mm)
 
 
 class TrainingSet:
@@ -45,7 +64,7 @@ class TrainingSet:
         moving: list[int],
     ) -> None:
         """Of training and validation trajectories; `inputs` scales them (n, columns)."""
-        self._known, self._other = _Targets(data, outputs), _Targets(validation, outputs)
+        self._known, self._other = Targets(data, outputs), Targets(validation, outputs)
         self.inputs, self._inputs_other = _tensor(inputs(data)), _tensor(inputs(validation))
         self._weights, self.moving = _tensor(data.weights()), moving
         self.usable, self._validation = _tensor(data.usable, bool), validation
@@ -68,7 +87,7 @@ class TrainingSet:
         return float(np.sqrt(total / self._validation.usable.sum()))
 
 
-class _Targets:
+class Targets:
     """Labels of a data set, and their residuals after a net's outputs."""
 
     def __init__(self, data: Dataset, outputs: OutputUnits) -> None:

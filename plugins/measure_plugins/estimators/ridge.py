@@ -13,7 +13,7 @@ from measure_plugins.estimators._inputs import (
     WithinTrajectoryEstimator,
     informative_features,
 )
-from measure_plugins.estimators._kinematics import tip_error
+from measure_plugins.estimators._kinematics import levers, tip_error
 from measure_plugins.estimators._play import PlayBank
 
 
@@ -50,13 +50,11 @@ class RidgeEstimator(WithinTrajectoryEstimator):
         self._window = StateWindow(len(self._columns), self.config.window)
         inputs = self._inputs(data)
         used = data.usable
-        levers = np.tile(np.eye(3), (int(used.sum()), 1, 1))
-        if data.schema.chain is not None:
-            jacobian = data.schema.chain.jacobian(data.joints[used])[:, :3]
-            levers = np.concatenate([jacobian, levers], axis=2)
-        self._weight = _fit_outputs(
-            inputs[used], data.errors_mm[used], data.weights()[used], self.config.penalty, levers
+        slopes, units = levers(data.rows(used))
+        weight = _fit_outputs(
+            inputs[used], data.errors_mm[used], data.weights()[used], self.config.penalty, slopes
         )
+        self._weight = weight * units
         report(1.0, "solved")
 
     def _inputs(self, data: host.Dataset) -> Floats:
@@ -89,39 +87,25 @@ class RidgeEstimator(WithinTrajectoryEstimator):
 
 
 def _fit_outputs(
-    inputs: Floats, labels: Floats, weights: Floats, penalty: float, levers: Floats
+    inputs: Floats, labels: Floats, weights: Floats, penalty: float, slopes: Floats
 ) -> Floats:
-    """Weights (inputs + 1, outputs) whose outputs, times levers (n, 3, outputs), are the labels.
+    """Weights (inputs + 1, outputs) whose outputs, times slopes (n, 3, outputs), are the labels.
 
     The normal equations are put together block by block: J'J varies by row, f f' is common.
     """
-    scale = np.sqrt((levers**2).sum(axis=1).mean(axis=0))
-    levers = levers / np.where(scale > 0, scale, 1.0)
     design = np.concatenate([inputs, np.ones((len(inputs), 1))], axis=1)
-    size, outputs = design.shape[1], levers.shape[2]
+    size, outputs = design.shape[1], slopes.shape[2]
     normal = np.empty((outputs, size, outputs, size))
     for one in range(outputs):
         for other in range(one, outputs):
-            product = weights * (levers[:, :, one] * levers[:, :, other]).sum(axis=1)
+            product = weights * (slopes[:, :, one] * slopes[:, :, other]).sum(axis=1)
             normal[one, :, other] = design.T @ (design * product[:, None])
             normal[other, :, one] = normal[one, :, other].T
-    pulled = np.einsum("nij,ni->nj", levers, labels) * weights[:, None]
+    pulled = np.einsum("nij,ni->nj", slopes, labels) * weights[:, None]
     shrink = np.full((outputs, size), penalty * len(inputs))
     shrink[-3:, -1] = 0.0  # a constant shift of the tip is free
     flat = normal.reshape(outputs * size, -1) + np.diag(shrink.ravel())
-    found = np.linalg.solve(flat, (pulled.T @ design).ravel()).reshape(outputs, size)
-    return np.asarray((found / np.where(scale > 0, scale, np.inf)[:, None]).T)
-
-
-def fit_linear(inputs: Floats, labels: Floats, weights: Floats, penalty: float) -> Floats:
-    """Weighted ridge regression; (inputs + 1, outputs), the last row being the intercept."""
-    design = np.concatenate([inputs, np.ones((len(inputs), 1))], axis=1)
-    normal = design.T @ (design * weights[:, None])
-    shrink = penalty * len(inputs) * np.eye(len(normal))
-    shrink[-1, -1] = 0.0
-    return np.asarray(
-        np.linalg.lstsq(normal + shrink, design.T @ (labels * weights[:, None]), rcond=None)[0]
-    )
+    return np.linalg.solve(flat, (pulled.T @ design).ravel()).reshape(outputs, size).T
 
 
 @host.hookimpl

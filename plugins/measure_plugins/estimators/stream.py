@@ -13,7 +13,6 @@ from measure.arrays import Floats
 from measure_plugins.estimators import _nets
 from measure_plugins.estimators._checkpoint import Checkpoint
 from measure_plugins.estimators._inputs import WithinTrajectoryEstimator, informative_features
-from measure_plugins.estimators._kinematics import tip_error
 from measure_plugins.estimators._play import PlayBank
 from measure_plugins.estimators._training import (
     AfterEpoch,
@@ -27,7 +26,6 @@ from measure_plugins.estimators._training_set import OutputUnits, TrainingSet
 N = TypeVar("N", _nets.Perceptrons, _nets.Grus)
 
 _PERCEPTRON_SHARE = 0.2  # time of a perceptron's epoch, as a share of a GRU's
-_TURN_RAD, _SLIDE_MM, _TIP_MM = 0.05, 1.0, 1.0  # joint or tip errors of an output of one
 
 
 class StreamSettings(host.Settings):
@@ -85,9 +83,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         self._scaling = host.Scaling.of(data.states[:, self._columns])
         self._moving = self._moving_inputs()
         self._bank = PlayBank.of(data, c.play_widths, c.narrowest, c.widest)
-        used = data.usable
-        middle = np.average(data.errors_mm[used], axis=0, weights=data.weights()[used])
-        self._outputs = OutputUnits(self._output_scale(), middle)
+        self._outputs = OutputUnits.of(data)
         training_set = TrainingSet(data, validation, self._inputs, self._outputs, self._moving)
         log = _Log(_PERCEPTRON_SHARE * c.perceptrons * c.perceptron_epochs + c.grus * c.gru_epochs)
         self._perceptrons = self._fit_perceptrons(training_set, seed, log, report)
@@ -148,7 +144,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         recurrent, after = self._grus.in_graph(graph, inputs, steps, before)
         members = graph.op("Concat", self._perceptrons.in_graph(graph, inputs), recurrent, axis=0)
         mean = graph.total(members, 0, mean=True)
-        away = graph.op("Mul", graph.op("Sub", members, mean), self._spread_scale())
+        away = graph.op("Mul", graph.op("Sub", members, mean), self._outputs.reach_mm)
         squares = graph.total(graph.op("Mul", away, away), 0, mean=True)
         spread = graph.op("ReduceSum", squares, graph.constant([1], np.int64), keepdims=1)
         begun = graph.ones_like(started)
@@ -158,9 +154,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
             graph.op("Concat", before, last, axis=1),
         )
         kept = graph.op("Concat", begun, states, slow, axis=1)
-        outputs = graph.op("Mul", mean, self._outputs.scale)
-        error = tip_error(graph, self._data_schema, features, outputs)
-        error = graph.op("Add", error, self._outputs.middle_mm)
+        error = self._outputs.error_in_graph(graph, self._data_schema, features, mean)
         return host.Core(error, kept, spread, sum(widths))
 
     def _moving_inputs(self) -> list[int]:
@@ -168,18 +162,6 @@ class StreamEstimator(WithinTrajectoryEstimator):
         schema = self._data_schema
         read = np.any(schema.reading_matrix(schema.joints or schema.position) != 0, axis=1)
         return [place for place, column in enumerate(self._columns) if read[column]]
-
-    def _output_scale(self) -> Floats:
-        chain = self._data_schema.chain
-        joints = (
-            [] if chain is None else [_SLIDE_MM if j.prismatic else _TURN_RAD for j in chain.joints]
-        )
-        return np.array([*joints, _TIP_MM, _TIP_MM, _TIP_MM])
-
-    def _spread_scale(self) -> Floats:
-        """Outputs to mm, roughly: a turn acts on a lever of 50 mm."""
-        lever = np.where(self._outputs.scale == _TURN_RAD, 50.0, 1.0)
-        return self._outputs.scale * lever
 
     def _inputs(self, data: host.Dataset) -> Floats:
         scaled = self._scaling.apply(data.states[:, self._columns])
