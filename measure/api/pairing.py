@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,9 +19,10 @@ from measure.robots.simulator import Cables
 
 if TYPE_CHECKING:
     from measure.learning import AssemblySettings, PoseTrack, TrajectoryFacts
-if TYPE_CHECKING:
     from measure.learning.frames import RobotFrame
     from measure.learning.registration import RegisterOptions
+
+_log = logging.getLogger(__name__)
 
 
 def make_dataset(
@@ -31,6 +34,7 @@ def make_dataset(
     *,
     topic: str | None = None,
     frame: Path | None = None,
+    restarts: Sequence[str] = (),
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     """Pair runs with robot logs, or take tables that already hold labels, and write a data set.
 
@@ -41,6 +45,8 @@ def make_dataset(
         out: the Parquet file; its data card goes beside it.
         topic: of the state messages, if a log is a bag.
         frame: where the robot is, by `register`; its base is the cameras' world if omitted.
+        restarts: names of restarts or days, one for all runs or one each: runs of one name count
+            as one recording where recordings are kept apart.
     """
     from measure.learning import assemble, files
 
@@ -50,9 +56,11 @@ def make_dataset(
     schema = find_schema(robot)
     facts: list[TrajectoryFacts] = []
     if logs:
-        tracks = read_tracks(runs, frame, schema.robot)
+        tracks = _of_restarts(read_tracks(runs, frame, schema.robot), restarts)
         each = open_logs(runs, logs, schema, topic)
         data, facts = assemble(list(zip(tracks, each, strict=True)), settings)
+    elif restarts:
+        raise ConfigError("--restart-name is of runs: tables of labels have a column `restart`")
     else:
         data = _labelled(runs, schema, settings.as_it_is)
     files.write_dataset(out, data, facts, ", ".join(map(str, [*runs, *logs])))
@@ -77,6 +85,19 @@ def read_tracks(runs: Sequence[Path], frame: Path | None, robot: str) -> list[Po
     return [known.to_base(track) for track in tracks]
 
 
+def _of_restarts(tracks: Sequence[PoseTrack], restarts: Sequence[str]) -> list[PoseTrack]:
+    """The tracks with their restarts' names before their own."""
+    if len(restarts) not in (0, 1, len(tracks)) or any("/" in name for name in restarts):
+        raise ConfigError(
+            f"--restart-name {' '.join(restarts)}: expected one name without '/' for all "
+            f"{len(tracks)} runs, or one each"
+        )
+    each = restarts if len(restarts) == len(tracks) else [*restarts] * len(tracks)
+    if not each:
+        return list(tracks)
+    return [replace(t, name=f"{name}/{t.name}") for t, name in zip(tracks, each, strict=True)]
+
+
 def _check_out(out: Path) -> None:
     if out.suffix != ".parquet":
         raise EstimatorError(f"{out}: a data set's file name must end with .parquet")
@@ -95,6 +116,9 @@ def open_logs(
             f"{len(runs)} runs and {len(logs)} robot logs: give one log for all, or one each"
         )
     read = [LogFile(path, schema, topic) for path in logs]
+    for path, log in zip(logs, read, strict=True):
+        if log.computed:
+            _log.warning("%s: the tip is computed from the joints, by %s", path, schema.robot)
     return read * len(runs) if len(read) == 1 else read
 
 

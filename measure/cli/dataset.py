@@ -68,6 +68,7 @@ def dataset(
     *,
     out: OutFile,
     frame: Path | None = None,
+    restart_name: tuple[str, ...] = (),
     source: RobotOptions = RobotOptions(),
     assembly: _AssemblyOptions = _AssemblyOptions(),
     simulation: _SimulationOptions = _SimulationOptions(),
@@ -83,6 +84,8 @@ def dataset(
         out: the data set's file (.parquet).
         frame: where the robot is, written by `measure register`; its base is the cameras' world
             and its tip the body's origin if omitted.
+        restart_name: of the robot's restart or the day, one for all runs or one each; training
+            keeps runs of one name together.
     """
     from measure import api
     from measure.errors import ConfigError
@@ -91,18 +94,19 @@ def dataset(
     if bool(runs) == (simulation.simulate_min is not None):
         raise ConfigError("give runs, or --simulate-min MINUTES, but not both")
     if not runs:
-        options = asdict(simulation)
-        minutes = options.pop("simulate_min")
-        with console.progress("simulating", unit="per mille") as report:
-            data, facts = api.simulate_dataset(
-                out, minutes=minutes, report=shares(report), **options
-            )
+        data, facts = _simulated(out, simulation)
     else:
         from measure.learning import AssemblySettings
 
-        settings = AssemblySettings(**asdict(assembly))
         data, facts = api.make_dataset(
-            runs, source.robot_log, source.robot, out, settings, topic=source.topic, frame=frame
+            runs,
+            source.robot_log,
+            source.robot,
+            out,
+            AssemblySettings(**asdict(assembly)),
+            topic=source.topic,
+            frame=frame,
+            restarts=restart_name,
         )
     labels = LabelFacts.of(data)
     if json:
@@ -111,6 +115,15 @@ def dataset(
     else:
         _conclude(data, facts, assembly.clock_offset_s, out)
         _tell_labels(labels)
+
+
+def _simulated(out: Path, simulation: _SimulationOptions) -> tuple[Dataset, list[TrajectoryFacts]]:
+    from measure import api
+
+    options = asdict(simulation)
+    minutes = options.pop("simulate_min")
+    with console.progress("simulating", unit="per mille") as report:
+        return api.simulate_dataset(out, minutes=minutes, report=shares(report), **options)
 
 
 _COLUMNS = ("recording", "rows", "usable", "not measured", "no state", "outliers", "uncertain")

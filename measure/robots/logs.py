@@ -51,6 +51,7 @@ def misfit(where: str, schema: StateSchema, missing: Sequence[str], there: Seque
     return text + (f"; its columns fit --robot {' or '.join(fitting)}" if fitting else "")
 
 
+_SAME_MM = 1e-9  # A controller's own position differs by more, if only by its last digit
 ROBOT_KEY = b"measure.robot"  # Under which a Parquet file of states names its robot
 
 
@@ -165,6 +166,7 @@ class LogFile:
         self.schema, self._path, self._topic = schema, path, topic
         times, places, whole = list[Floats](), list[Floats](), list[Bools]()
         self.broken: Ints = np.zeros(len(schema.features), dtype=np.int64)
+        self.computed = schema.chain is not None  # whether its positions are those of its joints
         for piece, states in log_pieces(path, schema, topic):
             finite = np.isfinite(states)
             self.broken += (~finite).sum(axis=0)
@@ -172,6 +174,9 @@ class LogFile:
             times.append(piece)
             whole.append(complete)
             places.append(reported_mm(schema, states, complete))
+            if schema.chain is not None and self.computed:
+                tips = schema.chain.tip_mm(schema.joint_positions(states[complete]))
+                self.computed = np.allclose(tips, places[-1][complete], rtol=0.0, atol=_SAME_MM)
         self.times_s: Floats = np.concatenate(times)
         self.complete: Bools = np.concatenate(whole)
         self.reported_mm: Floats = np.concatenate(places)

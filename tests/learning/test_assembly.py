@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from measure.arrays import Floats
+from measure.cli import main
 from measure.errors import EstimatorError
-from measure.learning import AssemblySettings, PoseTrack, assemble, estimate_offset
+from measure.host.dataset import recording_of
+from measure.learning import AssemblySettings, PoseTrack, assemble, estimate_offset, files
 from measure.learning.simulated import recording
-from measure.robots import RobotLog
+from measure.robots import RobotLog, write_log
 from measure.robots.simulator import Cables, simulate
 
 
@@ -71,6 +76,33 @@ def test_clocks_that_do_not_match(pair: tuple[PoseTrack, RobotLog]) -> None:
     late = replace(track, times_s=track.times_s + 1000.0)
     with pytest.raises(EstimatorError, match="share less than 8 s"):
         assemble([(late, log)])
+
+
+def test_runs_of_one_restart_are_one_recording(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And a log without positions is said to have none of its own; negative control: with."""
+    for seed in (1, 2, 3):
+        track, log = recording(simulate(12.0, seed, log_hz=50.0), "", seed, frame_hz=10.0)
+        columns = {"time_s": track.times_s} | dict(
+            zip(("x_mm", "y_mm", "z_mm"), track.positions_mm.T, strict=True)
+        )
+        parquet.write_table(pa.table(columns), tmp_path / f"run{seed}.parquet")
+        write_log(tmp_path / f"log{seed}.parquet", log)
+    joints = parquet.read_table(tmp_path / "log2.parquet").drop_columns(["pos_x", "pos_y", "pos_z"])
+    parquet.write_table(joints, tmp_path / "log2.parquet")
+    words = [str(tmp_path / f"run{seed}.parquet") for seed in (1, 2, 3)]
+    words += [w for k in (1, 2, 3) for w in ("--robot-log", str(tmp_path / f"log{k}.parquet"))]
+    words += ["--robot", "raven", "--clock-offset-s", "1.5", "-o", str(tmp_path / "data.parquet")]
+    names = [w for name in ("mon", "mon", "tue") for w in ("--restart-name", name)]
+    assert main(["dataset", *words, *names]) == 0
+    assert "log2.parquet: the tip is computed from the joints, by raven2-left" in caplog.text
+    assert "log1" not in caplog.text
+    data = files.read_dataset(tmp_path / "data.parquet")
+    assert data.names == ("mon/run1", "mon/run2", "tue/run3")
+    assert [recording_of(name) for name in data.names] == ["mon", "mon", "tue"]
+    assert main(["dataset", *words, "--restart-name", "mon", "--restart-name", "tue"]) == 2
+    assert "expected one name without '/' for all 3 runs" in capsys.readouterr().err
 
 
 def cut(track: PoseTrack, log: RobotLog, start: float, stop: float) -> tuple[PoseTrack, RobotLog]:
