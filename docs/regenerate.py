@@ -46,13 +46,15 @@ measure run SESSION --out RUN --set detector.rays=128 --set tracking.lost_after=
 ```
 
 or both in a profile, a TOML file given with `--profile`. The `run.toml` of a run serves as one,
-too.
+too. A sink is chosen with `--send`; its settings follow a `?` in the address, or are
+given as `--set SINK.NAME=VALUE` ([sending poses](how_to/send_poses.md)).
 """
 KINDS = {
     "detector": "Detectors",
     "triangulator": "Triangulators",
     "solver": "Pose solvers",
     "estimator": "Estimators",
+    "sink": "Sinks",
 }
 SAME = re.compile(r"<!-- same as: (\S+) -->\n```(\w+)\n(.*?)```\n", re.DOTALL)
 

@@ -33,6 +33,7 @@ from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_bodies, measure_session
 from measure.api.metrology import RestsSoFar, TipResult, pivot, rests, world, world_by_board
 from measure.api.pairing import make_dataset, register, simulate_dataset, simulate_recording
+from measure.api.playing import PlayEnd, PlayOptions, play
 from measure.api.previewing import (
     BallWatch,
     CameraNow,
@@ -47,7 +48,6 @@ from measure.api.recording import (
     RecordedSession,
     camera_names,
     parse_controls,
-    parse_receiver,
     parse_size,
     record,
     usb_notes,
@@ -75,18 +75,18 @@ __all__ = [
     "Accepted", "BallWatch", "CalibrationResult", "CameraAddress", "CameraCount", "CameraNow",
     "CaptureRequest", "Control", "Demo", "DeviceControls", "FoundBody", "FoundCamera", "Lens",
     "LiveEnd", "LiveOptions", "LiveState", "Measurement", "Mode", "Outcome", "PictureFacts",
-    "Preview", "RecordedSession", "RefineResult", "Registry", "RestsSoFar", "RunOptions",
-    "SeenPicture", "SessionCheck", "SweepOptions", "SyncedClock", "TipResult", "TrainOptions",
-    "WatchedCamera", "ablate", "accept", "body_names", "build_pipeline", "calibrate",
-    "camera_names", "cameras", "check", "check_estimates", "check_new_body", "choose",
-    "compare", "contents_of", "correct_simulated_robot", "demo", "detect", "draw_target",
-    "estimate_file", "estimate_online", "evaluate", "evaluation_tables", "events", "export",
-    "find_body", "inside", "live", "load_profile", "make_dataset", "mark_event",
-    "measure_bodies", "measure_session", "model_file", "next_free", "parse_cameras",
-    "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_receiver",
-    "parse_settings", "parse_size", "pivot", "profile_names", "read_body", "read_calibration",
-    "record", "refine", "register", "render_demo", "report", "rests", "rezero",
-    "robot_recording", "run", "run_many", "shipped_model", "shipped_targets",
-    "simulate_dataset", "simulate_recording", "sweep", "sync", "train", "usb_notes",
-    "web_viewer", "world", "world_by_board", "write_sampled_body",
+    "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry",
+    "RestsSoFar", "RunOptions", "SeenPicture", "SessionCheck", "SweepOptions", "SyncedClock",
+    "TipResult", "TrainOptions", "WatchedCamera", "ablate", "accept", "body_names",
+    "build_pipeline", "calibrate", "camera_names", "cameras", "check", "check_estimates",
+    "check_new_body", "choose", "compare", "contents_of", "correct_simulated_robot", "demo",
+    "detect", "draw_target", "estimate_file", "estimate_online", "evaluate", "evaluation_tables",
+    "events", "export", "find_body", "inside", "live", "load_profile", "make_dataset",
+    "mark_event", "measure_bodies", "measure_session", "model_file", "next_free", "parse_cameras",
+    "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
+    "parse_size", "pivot", "play", "profile_names", "read_body", "read_calibration", "record",
+    "refine", "register", "render_demo", "report", "rests", "rezero", "robot_recording", "run",
+    "run_many", "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording",
+    "sweep", "sync", "train", "usb_notes", "web_viewer", "world", "world_by_board",
+    "write_sampled_body",
 ]  # fmt: skip

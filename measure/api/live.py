@@ -7,10 +7,11 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from measure.api.recording import (
 )
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
+from measure.api.sending import SendOptions, SentCount, open_sending, sent_pose
 from measure.api.warming_up import warm_pipeline
 from measure.capture import (
     CameraAddress,
@@ -39,22 +41,21 @@ from measure.capture import (
 )
 from measure.capture.controls import watched
 from measure.errors import ConfigError, RunError
-from measure.host import Registry
-from measure.measuring import Measurement, Profile, burn_in
-from measure.model import Body, Camera, FrameSet, Image
+from measure.host import Registry, SentPose, SentRun
+from measure.measuring import Measurement, Profile, burn_in, relative_measurements
+from measure.model import FrameSet, Image
 from measure.processes import share_heaps
-from measure.results import PoseSender, Provenance, RunWriter, Summary, refuse_other_writer
+from measure.results import Provenance, RunWriter, Summary, refuse_other_writer
 from measure.session import Calibration, check_bodies, check_unit, read_body
 
 _RECENT = 30  # Frame sets over which the rate and the age of poses are taken
 
 
 @dataclass(frozen=True)
-class LiveOptions(LogOptions):
+class LiveOptions(LogOptions, SendOptions):
     """How cameras are measured live, beside the run's recording."""
 
     record: Path | None = None  # a session folder to record the pictures into as well
-    send: tuple[str, int] | None = None  # host and port that every pose is sent to by UDP
     seconds: float | None = None  # how long; until interrupted if None
     request: CaptureRequest | None = None  # what cameras of this machine are set to
     overwrite: bool = False  # throw an earlier run away
@@ -85,6 +86,8 @@ class LiveEnd:
     summary: Summary  # of the run
     state: LiveState | None  # at the end; None if there was no frame set
     changes: tuple[str, ...] = ()  # a sentence for each control of a camera that changed meanwhile
+    # what came of the poses for each address.
+    sent: Mapping[str, SentCount] = field(default_factory=dict)
 
 
 def live(
@@ -129,17 +132,12 @@ def live(
     cure = 'write mm, or into another program\'s file its unit, as in unit = "m"'
     check_unit(Calibration(tuple(calibrated)), measured[0], str(calibration), cure)
     profile = profile.model_copy(update={"smoothing": False})
+    sent = SentRun(out.resolve().name, tuple(measured), tuple(calibrated), options.reference)
+    sending = open_sending(options, registry, sent)
     sources = sources_of(cameras, calibrated, options.request)
     _check_outputs(out, options, [one.name for one in cameras])
     warm = [warm_pipeline(profile, registry, body, calibrated) for body in measured]
-    record = None if options.record is None else options.record.resolve()
-    made_from = provenance(
-        *(calibration, measured, profile, registry),
-        session="" if record is None else str(record / "session.toml"),
-        session_digest="",  # of pictures that are yet to come
-        session_name="live" if record is None else record.name,
-        notes=("measured live",),
-    )
+    made_from = _made_from(options, calibration, measured, profile, registry)
     rig = Cameras(sources, sizes_of(calibrated), on_outage)
     gathering = Gathering([camera.name for camera in calibrated], on_read=rig.note_read)
     with ExitStack() as stack:
@@ -147,12 +145,13 @@ def live(
         lock = options.request is not None and options.request.lock
         controls = stack.enter_context(watched(rig.controls, lock))
         stop = stack.enter_context(until_stopped(options.stop))
-        sinks = [gathering.add] if options.on_image is None else [gathering.add, options.on_image]
+        takers = [gathering.add] if options.on_image is None else [gathering.add, options.on_image]
         if options.record is not None:
             given = rig.addresses, measured, calibrated, options.reference, controls.settings
-            sinks.append(stack.enter_context(Recorder(options.record, *given)).add)
-        outputs = _LiveOutputs(stack, out, made_from, measured, calibrated, options)
-        rig.begin(sinks)
+            takers.append(stack.enter_context(Recorder(options.record, *given)).add)
+        stack.enter_context(sending)
+        outputs = _LiveOutputs(stack, out, made_from, sent, options)
+        rig.begin(takers)
         frame_sets = _frame_sets(gathering, rig, stop, options.seconds)
         build = partial(build_pipeline, profile, registry)
         pipelines = [burn_in.calibrated(one, build, frame_sets) for one in warm]
@@ -161,12 +160,26 @@ def live(
         state, watch = None, _PaceMeter(gathering, rig)
         for frame_set, found in measure_frame_sets(pipelines, frame_sets()):
             known = [_with_away(each, rig.away) for each in found]
+            sending.send(_sent_poses(sent, known))
+            sending.show(frame_set.images)
             outputs.add(frame_set, known)
             state = watch.state(known)
             if on_state is not None:
                 on_state(state)
         rig.check()
-        return LiveEnd(outputs.finish(), state, tuple(controls.changed.values()))
+        summary = outputs.finish()
+    return LiveEnd(summary, state, tuple(controls.changed.values()), sending.counts)
+
+
+def _made_from(options: LiveOptions, *known: Any) -> Provenance:
+    record = None if options.record is None else options.record.resolve()
+    return provenance(
+        *known,
+        session="" if record is None else str(record / "session.toml"),
+        session_digest="",  # of pictures that are yet to come
+        session_name="live" if record is None else record.name,
+        notes=("measured live",),
+    )
 
 
 def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> None:
@@ -202,43 +215,31 @@ def _frame_sets(
     return lambda: gathering.frame_sets(over, rig.check)
 
 
+def _sent_poses(run: SentRun, measured: Sequence[Measurement]) -> list[SentPose]:
+    """The poses of a frame set, and those relative to the reference."""
+    names = [body.name for body in run.bodies]
+    own = [sent_pose(one, name) for one, name in zip(measured, names, strict=True)]
+    relative = relative_measurements(run.bodies, measured, run.reference, run.cameras)
+    return own + [sent_pose(one, name, run.reference) for name, one in relative.items()]
+
+
 class _LiveOutputs:
-    """The run's folder, its recording, and the receiver of poses; all end with `stack`."""
+    """The run's folder and its recording; both end with `stack`."""
 
     def __init__(
-        self,
-        stack: ExitStack,
-        out: Path,
-        made_from: Provenance,
-        bodies: Sequence[Body],
-        cameras: Sequence[Camera],
-        options: LiveOptions,
+        self, stack: ExitStack, out: Path, made_from: Provenance, run: SentRun, options: LiveOptions
     ) -> None:
-        self._sender = self._log = None
-        if options.send is not None:
-            self._sender = stack.enter_context(PoseSender(options.send))
-        self._writer = stack.enter_context(
-            RunWriter(
-                out,
-                made_from,
-                bodies,
-                cameras,
-                overwrite=options.overwrite,
-                reference=options.reference,
-            )
-        )
+        self._log = None
+        given = out, made_from, run.bodies, run.cameras
+        writer = RunWriter(*given, overwrite=options.overwrite, reference=run.reference)
+        self._writer = stack.enter_context(writer)
         self._writer.begin()
         if options.recording or options.viewer:
-            self._log = stack.enter_context(
-                RunLog(out.resolve().name, bodies, cameras, out, options)
-            )
-        self._names = [body.name if len(bodies) > 1 else None for body in bodies]
+            log = RunLog(run.name, run.bodies, run.cameras, out, options)
+            self._log = stack.enter_context(log)
 
     def add(self, frame_set: FrameSet, measured: Sequence[Measurement]) -> None:
-        """Hand a measurement of each body on, to the receiver first."""
-        if self._sender is not None:
-            for name, one in zip(self._names, measured, strict=True):
-                self._sender.send(one, name)
+        """Write a measurement of each body."""
         self._writer.append(*measured)
         if self._log is not None:
             self._log.add(measured, frame_set)

@@ -226,14 +226,6 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def parse_receiver(text: str) -> tuple[str, int]:
-    """Read HOST:PORT; ConfigError for anything else."""
-    host, _, port = text.rpartition(":")
-    if not (host and port.isdecimal() and 0 < int(port) < 65_536):
-        raise ConfigError(f"--send {text}: expected HOST:PORT, such as 127.0.0.1:5005")
-    return host.strip("[]"), int(port)
-
-
 @contextmanager
 def until_stopped(stop: threading.Event | None = None) -> Iterator[threading.Event]:
     """Turn the first interrupt (Ctrl-C) or termination of this process into an event.

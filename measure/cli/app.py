@@ -37,6 +37,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "run": "Measure a recorded session.",
         "live": "Measure cameras while they deliver.",
         "view": "Show a run in the viewer.",
+        "play": "Play a run at its own pace, into whatever takes poses and into the viewer.",
         "report": "Write a run's report as one HTML file.",
         "evaluate": "Compare a run with the truth.",
         "export": "Write a run in another program's format.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,13 +39,13 @@ class _DestinationOptions:
         out: the run's folder, made if it is not there.
         overwrite: throw an earlier run in the folder away.
         record: a session folder, new or empty, to record the pictures into as well.
-        send: HOST:PORT that every pose is sent to by UDP, as a JSON object.
+        send: where every pose is sent, such as udp://127.0.0.1:5005; may be repeated.
     """
 
     out: OutFile
     overwrite: bool = False
     record: Path | None = None
-    send: str | None = None
+    send: tuple[str, ...] = ()
 
 
 def live(
@@ -71,10 +71,15 @@ def live(
     """
     from measure import api
 
-    chosen = method.chosen()
+    schemes = {address.partition(":")[0] for address in to.send}
+    ours = tuple(text for text in method.set_ if text.partition(".")[0] in schemes)
+    others = tuple(text for text in method.set_ if text not in ours)
+    chosen = replace(method, set_=others).chosen()
     options = api.LiveOptions(
         record=to.record,
-        send=None if to.send is None else api.parse_receiver(to.send),
+        send=to.send,
+        sink_settings=ours,
+        note=console.note,
         seconds=capture.seconds,
         request=(request := capture.request()),
         image_every=api.parse_images(viewer.images),
@@ -129,7 +134,7 @@ def _pace(state: LiveState) -> str:
 def _numbers(end: LiveEnd) -> dict[str, object]:
     names = ("rate_hz", "age_s", "overtaken", "unreadable", "cameras")
     known = {} if end.state is None else {name: getattr(end.state, name) for name in names}
-    return {**known, "changes": end.changes}
+    return {**known, "changes": end.changes, "sent": end.sent}
 
 
 def _print(end: LiveEnd, out: Path) -> None:

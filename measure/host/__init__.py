@@ -1,4 +1,4 @@
-"""All a plugin author needs to read: interfaces, the four hooks, and how plugins are found."""
+"""All a plugin author needs to read: interfaces, the five hooks, and how plugins are found."""
 
 from measure.host.dataset import Dataset
 from measure.host.estimator import Correction, Epoch, Estimator, LeftOut, Report
@@ -16,11 +16,13 @@ from measure.host.onnx_graph import Graph, Value, seal
 from measure.host.onnx_model import Estimates, OnnxModel
 from measure.host.registry import Broken, Distribution, Loaded, Registry, discover
 from measure.host.settings import Setting, Settings, describe_settings, setting
+from measure.host.sink import EventMark, SentPose, SentRun, Sink, host_port, needed
 
 __all__ = [
     "ENTRY_POINT_GROUP", "Broken", "Core", "Correction", "Dataset", "Detector", "Distribution",
-    "Epoch", "Estimates", "Estimator", "Graph", "LeftOut", "Loaded", "OnnxEstimator",
+    "Epoch", "Estimates", "Estimator", "EventMark", "Graph", "LeftOut", "Loaded", "OnnxEstimator",
     "OnnxModel", "Plugin", "PoseSolver", "Registry", "Report", "Scaling",
-    "SelfCalibratingDetector", "Setting", "Settings", "Triangulator", "Value",
-    "describe_settings", "discover", "hookimpl", "seal", "setting",
+    "SelfCalibratingDetector", "SentPose", "SentRun", "Setting", "Settings", "Sink",
+    "Triangulator", "Value", "describe_settings", "discover", "hookimpl", "host_port",
+    "needed", "seal", "setting",
 ]  # fmt: skip

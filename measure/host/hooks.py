@@ -1,4 +1,4 @@
-"""The four hooks. A hook only registers: it returns classes and runs nothing."""
+"""The five hooks. A hook only registers: it returns classes and runs nothing."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pluggy
 
 from measure.host.estimator import Estimator
 from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
+from measure.host.sink import Sink
 
 ENTRY_POINT_GROUP = "measure"
 """The group of entry points in which plugins are found."""
@@ -37,6 +38,11 @@ def measure_estimators() -> list[type[Estimator]]:  # type: ignore[empty-body]
     """Return estimator classes."""
 
 
+@hookspec
+def measure_sinks() -> list[type[Sink]]:  # type: ignore[empty-body]
+    """Return sink classes."""
+
+
 @dataclass(frozen=True)
 class PluginKind:
     """A kind of plugin: its name for users, its hook, and what its classes must be."""
@@ -51,4 +57,5 @@ KINDS = (
     PluginKind("triangulator", "measure_triangulators", Triangulator),
     PluginKind("solver", "measure_pose_solvers", PoseSolver),
     PluginKind("estimator", "measure_estimators", Estimator),
+    PluginKind("sink", "measure_sinks", Sink),
 )

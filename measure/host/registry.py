@@ -21,6 +21,7 @@ from measure.host import hooks
 from measure.host.estimator import Estimator
 from measure.host.interfaces import NAME, Detector, Plugin, PoseSolver, Triangulator
 from measure.host.settings import Settings, read_settings
+from measure.host.sink import SentRun, Sink
 from measure.model import Body, Camera
 
 
@@ -45,7 +46,7 @@ class Loaded:
     """A plugin that can be used.
 
     Attributes:
-        kind: "detector", "triangulator", "solver" or "estimator".
+        kind: "detector", "triangulator", "solver", "estimator" or "sink".
         name: the class's `name`.
         distribution: the installed distribution that it came in.
         plugin: the class.
@@ -285,6 +286,10 @@ class Registry:
     def estimator(self, name: str, settings: Mapping[str, Any]) -> Estimator:
         """Build an estimator; raises as `detector` does."""
         return cast("Estimator", self._build("estimator", name, settings))
+
+    def sink(self, name: str, settings: Mapping[str, Any], address: str, run: SentRun) -> Sink:
+        """Build a sink; raises as `detector` does, ConfigError also for a wrong address."""
+        return cast("Sink", self._build("sink", name, settings, address=address, run=run))
 
     def _build(self, kind: str, name: str, settings: Mapping[str, Any], **context: Any) -> Plugin:
         loaded = self.find(kind, name)

@@ -42,6 +42,12 @@ class Measurement:
     # names of the cameras in which the whole frame was searched for some ball.
     searched: tuple[str, ...] = ()
 
+    @property
+    def doubts(self) -> str:
+        """Why it is not OK, its pose's flags included; empty otherwise."""
+        flags = () if self.pose is None else self.pose.flags
+        return "; ".join(dict.fromkeys(filter(None, (self.reason, *flags))))
+
     def flagged(self, flag: str) -> Measurement:
         """The same with one more flag of its pose, if it has one."""
         if self.pose is None:

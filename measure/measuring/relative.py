@@ -68,6 +68,20 @@ def relative_measurement(
     return replace(bare, pose=pose, status=Status.FLAGGED if flags else Status.OK, reason=reason)
 
 
+def relative_measurements(
+    bodies: Sequence[Body],
+    measured: Sequence[Measurement],
+    reference: str,
+    cameras: Sequence[Camera],
+) -> dict[str, Measurement]:
+    """The same of every body but the reference, by the body's name; none without a reference."""
+    pairs = {body.name: (body, one) for body, one in zip(bodies, measured, strict=True)}
+    base = pairs.pop(reference, None)
+    if base is None:
+        return {}
+    return {name: relative_measurement(pair, base, cameras) for name, pair in pairs.items()}
+
+
 def _joint_covariance(one: Pose, other: Pose, cameras: Sequence[Camera]) -> Floats:
     """Covariance (12, 12) of two poses, each in its `perturb` chart."""
     out = np.zeros((12, 12))

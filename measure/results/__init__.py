@@ -4,13 +4,12 @@ from measure.results.evaluation import RunEvaluation, evaluate
 from measure.results.folder import refuse_other_writer
 from measure.results.provenance import Provenance, digest, versions
 from measure.results.run import Run, read_run, read_runs
-from measure.results.sending import PoseSender
 from measure.results.single_errors import Marks, read_marks
 from measure.results.summary import Summary
 from measure.results.writer import RunWriter
 
 __all__ = [
-    "Marks", "PoseSender", "Provenance", "Run", "RunEvaluation", "RunWriter", "Summary",
+    "Marks", "Provenance", "Run", "RunEvaluation", "RunWriter", "Summary",
     "digest", "evaluate", "read_marks", "read_run", "read_runs", "refuse_other_writer",
     "versions",
 ]  # fmt: skip

@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 from measure.arrays import Floats, Ints
 from measure.measuring import Measurement
 from measure.model import BallView
+from measure.model.pose_columns import PLACE as PLACE
+from measure.model.pose_columns import QUALITY as QUALITY
+from measure.model.pose_columns import pose_columns
 
 _F, _I, _S = pa.float64(), pa.int32(), pa.string()
 _FRAME = pa.int64()  # Pictures may be numbered by the microseconds since 1970
 _WORDS = pa.list_(pa.string())
-
-PLACE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-"""The columns of a pose; the first three are those of any place."""
-QUALITY = ("position_sd_mm", "rotation_sd_deg", "residual_mm", "rms_px")
-"""Those that say how good it is."""
 
 SCHEMAS = {
     "detections": pa.schema(
@@ -163,31 +161,15 @@ def _ball_rows(measured: Measurement) -> Iterator[dict[str, Any]]:
 
 def pose_row(measured: Measurement) -> dict[str, Any]:
     """Its row of the table of poses."""
-    row: dict[str, Any] = {
+    return {
         "index": measured.index,
         "time_s": measured.time_s,
         "cameras": (),
         "balls": (),
         "flags": (),
         "status": measured.status.value,
-        "reason": measured.reason,
-    }
-    pose = measured.pose
-    if pose is None:
-        return row | dict.fromkeys((*PLACE, *QUALITY), float("nan"))
-    place = (*pose.world_from_body.translation, *pose.world_from_body.quat_wxyz)
-    doubts = "; ".join(dict.fromkeys(part for part in (measured.reason, *pose.flags) if part))
-    return row | {
-        **dict(zip(PLACE, map(float, place), strict=True)),
-        "covariance": pose.covariance.ravel(),
-        "position_sd_mm": pose.position_sd_mm,
-        "rotation_sd_deg": pose.rotation_sd_deg,
-        "residual_mm": float(pose.residual_mm),
-        "rms_px": float(pose.rms_px),
-        "cameras": pose.cameras,
-        "balls": pose.balls,
-        "flags": pose.flags,
-        "reason": doubts,
+        "reason": measured.doubts,
+        **pose_columns(measured.pose),
     }
 
 

@@ -13,7 +13,7 @@ from typing import Any, Self
 import pyarrow as pa
 
 from measure.errors import RunError
-from measure.measuring import Measurement, relative_measurement
+from measure.measuring import Measurement, relative_measurements
 from measure.model import Body, Camera
 from measure.results.folder import FolderLock, clear, own_files, refuse_folder, refuse_other_writer
 from measure.results.journal import (
@@ -80,8 +80,8 @@ class RunWriter:
     ) -> None:
         self._folder, self._provenance = folder, provenance
         self._bodies, self._cameras = tuple(bodies), tuple(cameras)
-        self._reference = [body.name for body in bodies].index(reference) if reference else None
-        several, relative = len(self._bodies) > 1, self._reference is not None
+        self._reference = reference
+        several, relative = len(self._bodies) > 1, bool(reference)
         self._schemas = schemas(several, relative)
         self._columns = {"poses": csv_columns(several)}
         self._columns |= {"relative": RELATIVE_COLUMNS} if relative else {}
@@ -162,8 +162,12 @@ class RunWriter:
                     if len(self._bodies) > 1:
                         for row in some:
                             row[BODY] = body.name
-            if self._reference is not None:
-                rows["relative"] = self._relative_rows(measured, self._reference)
+            if self._reference:
+                found = self._bodies, measured, self._reference, self._cameras
+                rows["relative"] = [
+                    {BODY: name, "reference": self._reference, **pose_row(one)}
+                    for name, one in relative_measurements(*found).items()
+                ]
             for name, journal in self._journals.items():
                 journal.append(rows[name])
             for name, file in self._csv.items():
@@ -173,20 +177,6 @@ class RunWriter:
                 self._flush()
             # Never are there fewer rows than before: not in `poses.csv` either.
             self._take_place_if(self._appended >= max(self.kept, self._kept.csv_frame_sets))
-
-    def _relative_rows(
-        self, measured: Sequence[Measurement], reference: int
-    ) -> list[dict[str, Any]]:
-        pairs = list(zip(self._bodies, measured, strict=True))
-        base = pairs.pop(reference)
-        return [
-            {
-                BODY: pair[0].name,
-                "reference": base[0].name,
-                **pose_row(relative_measurement(pair, base, self._cameras)),
-            }
-            for pair in pairs
-        ]
 
     def finish(self) -> Summary:
         """Turn the streams into Parquet and write `summary.json`."""
@@ -234,7 +224,7 @@ class RunWriter:
                     self._provenance,
                     self._bodies,
                     self._cameras,
-                    self._reference is not None,
+                    bool(self._reference),
                 )
         except BaseException:
             self._lock.release()

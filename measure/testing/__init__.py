@@ -13,9 +13,10 @@ from measure.testing.estimator import EstimatorConformance
 from measure.testing.pose_solver import PoseSolverConformance
 from measure.testing.rules import PluginConformance
 from measure.testing.scenes import Example, example
+from measure.testing.sink import SinkConformance
 from measure.testing.triangulator import TriangulatorConformance
 
 __all__ = [
     "DetectorConformance", "EstimatorConformance", "Example", "PluginConformance",
-    "PoseSolverConformance", "TriangulatorConformance", "example",
+    "PoseSolverConformance", "SinkConformance", "TriangulatorConformance", "example",
 ]  # fmt: skip

@@ -116,7 +116,7 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
     with ExitStack() as stack:
         receiver = Receiver(stack)
         addresses = stack.enter_context(serving(cameras))
-        more = ("--seconds", "12", "--send", f"127.0.0.1:{receiver.port}", "--record", kept)
+        more = ("--seconds", "12", "--send", f"udp://127.0.0.1:{receiver.port}", "--record", kept)
         assert main([*words("live", session, addresses, run, *more), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["frame_sets"] >= 15
@@ -306,7 +306,7 @@ def test_a_camera_that_is_away_is_told_in_lines_and_rows(session, tmp_path, caps
         thread.start()
         stack.callback(thread.join)
         addresses = {f"cam{k}": address for k, address in enumerate(found)}
-        more = ("--send", f"127.0.0.1:{receiver.port}", "--seconds", "90", "--no-recording")
+        more = ("--send", f"udp://127.0.0.1:{receiver.port}", "--seconds", "90", "--no-recording")
         assert main([*words("live", session, addresses, out, *more), "--json"]) == 0
     printed = capsys.readouterr()
     lines = [line for line in printed.err.splitlines() if line.startswith("cam2 is ")]
@@ -331,4 +331,4 @@ def test_an_address_to_send_to_that_is_none(session, tmp_path, capsys):
     addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
     command = words("live", session, addresses, tmp_path / "r", "--send", "nowhere")
     assert main(command) == 2
-    assert "--send nowhere: expected HOST:PORT" in capsys.readouterr().err
+    assert "--send nowhere: no sink is called so; --send takes " in capsys.readouterr().err

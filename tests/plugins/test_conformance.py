@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from benchmarks.sinks import address
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.model import Detection, Pose
@@ -14,6 +16,7 @@ from measure.testing import (
     DetectorConformance,
     EstimatorConformance,
     PoseSolverConformance,
+    SinkConformance,
     TriangulatorConformance,
 )
 
@@ -22,10 +25,13 @@ KITS = {
     "triangulator": TriangulatorConformance,
     "solver": PoseSolverConformance,
     "estimator": EstimatorConformance,
+    "sink": SinkConformance,
 }
 
 
 QUICK = {
+    "igtl": {"world": "W"},  # the example's body has a long name
+    "zenoh": {"connect": "tcp/127.0.0.1:9"},  # not the network
     "forest": {"trees": 5},
     "gp": {"points": 200, "tuning_points": 100},
     "mlp": {"layers": (40, 30), "epochs": 60, "batch": 64, "learning_rate": 5e-3},
@@ -34,12 +40,15 @@ QUICK = {
         "gru_units": 12, "gru_epochs": 40, "window": 32, "play_widths": 3,
     },
 }  # fmt: skip
-"""Settings with which estimators learn the kit's little data set in seconds."""
+"""Settings with which estimators learn the kit's little data set in seconds, and sinks fit it."""
 
 
 def _kit(kind: str, plugin: type) -> type:
     """A test class for one plugin, as its author would write it."""
     contents = {"plugin": plugin, "settings": QUICK.get(plugin.name, {}), "__module__": __name__}
+    if kind == "sink":
+        where = address(plugin.name).partition(":")[2].removeprefix("//")
+        contents["address"] = where.partition("?")[0]
     return type(f"Test{plugin.__name__}", (KITS[kind],), contents)
 
 
@@ -55,7 +64,7 @@ del _test_class  # or pytest would collect the last one twice
 
 def _failures(kit: type, plugin: type) -> set[str]:
     """Names of the kit's tests that a plugin fails."""
-    suite = type("Control", (kit,), {"plugin": plugin})()
+    suite = type("Control", (kit,), {"plugin": plugin, "address": "127.0.0.1:9"})()
     failed = set()
     for name in dir(suite):
         if name.startswith("test_"):
@@ -145,9 +154,43 @@ class Impressed(_plugin("detector", "hough")):  # type: ignore[misc]
         return [replace(d, center_px=d.center_px + self.aside_px) for d in found]
 
 
+class Hopeful(_plugin("sink", "udp")):  # type: ignore[misc]
+    """Takes any address, waits for its receiver, and takes away what is lost."""
+
+    name = "hopeful"
+    form = "somewhere"
+
+    def prepare(self):
+        pass
+
+    def send(self, pose):
+        time.sleep(0.01)
+        if pose.pose is not None:
+            pose.pose.covariance[:] = 0.0
+
+    def send_mark(self, mark):
+        pass
+
+    def open(self):
+        pass
+
+    def close(self):
+        pass
+
+
 @pytest.mark.parametrize(
     ("kind", "plugin", "caught"),
     [
+        (
+            "sink",
+            Hopeful,
+            {
+                "test_it_says_how_its_address_is_typed",
+                "test_an_address_that_is_none_is_refused",
+                "test_it_sends_at_once_though_nobody_listens",
+                "test_it_changes_nothing_it_is_given",
+            },
+        ),
         (
             "triangulator",
             Sloppy,

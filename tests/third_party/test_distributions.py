@@ -11,10 +11,12 @@ import pytest
 
 from measure.simulation import Still, write_session
 from measure.testing import example
-from tests.third_party.conftest import HERE, Environment
+from tests.third_party.conftest import HERE, OTHERS, Environment
 
 pytestmark = pytest.mark.slow
 
+WHOLE = OTHERS[:5]
+"""One plugin of each kind."""
 WITHOUT_CLASH = ("--disable", "acme-clashing")
 
 
@@ -41,7 +43,7 @@ def test_a_plugin_is_listed_beside_the_built_ins(environment: Environment):
     assert blob["distribution"] == {"name": "acme-blob", "version": "0.3.1"}
     assert blob["summary"] == "Patches of a ball's colour by connected components."
     owners = {p["distribution"]["name"] for p in plugins}
-    assert owners == {"acme-blob", "acme-linear", "acme-nearest", "acme-rigid", "triball"}
+    assert owners == {"triball", *(f"acme-{name}" for name in WHOLE)}
 
 
 def test_its_settings_are_shown(environment: Environment):
@@ -68,7 +70,7 @@ def test_a_clash_is_reported_naming_both(environment: Environment):
     )
 
 
-@pytest.mark.parametrize("name", ["blob", "nearest", "rigid", "linear"])
+@pytest.mark.parametrize("name", WHOLE)
 def test_a_plugin_passes_the_conformance_kit_in_its_own_tests(environment: Environment, name):
     done = environment.run(
         *(environment.program("python"), "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"),

@@ -1,0 +1,270 @@
+"""Poses played into sinks: `python -m benchmarks.sinks [SINK...] [--poses 10000] [--rate 100]`.
+
+A run is written whose poses come `--rate` times a second, and played into every sink at once. Each
+sink has a client of its own protocol, in a process of its own, that notes when every pose arrived
+and what it said. Printed are the poses received, the largest difference from `poses.csv`, and how
+long after their turn they arrived. With `--stall 10` one more client of every sink that has several
+stops reading for so many seconds in the middle: the others must not notice.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from measure.geometry import RigidTransform
+from measure.measuring import Measurement, Status
+from measure.model import Ball, BallColor, Body, Camera, Intrinsics, Pose
+from measure.results import Provenance, RunWriter
+
+HOST = "127.0.0.1"
+# Streams of LSL are looked for on this machine only.
+os.environ.setdefault("LSLAPICFG", str(Path(__file__).with_name("lslapi.cfg")))
+Over = Callable[[], bool]
+
+
+@dataclass(frozen=True)
+class Received:
+    """What a client received: a pose, or that there is none."""
+
+    stream: tuple[str, str]  # body and reference, as far as the protocol says them
+    exposed_s: float  # in seconds since 1970
+    arrived_s: float
+    place: tuple[float, ...] | None  # x y z in mm, quaternion w x y z
+
+
+def body(name: str) -> Body:
+    """Three balls."""
+    places = {"green": (38.0, 0.0, 0.0), "yellow": (0.0, 38.0, 0.0), "red": (-38.0, 0.0, 0.0)}
+    balls = (Ball(n, BallColor.named(n), np.array(p), 20.0) for n, p in places.items())
+    return Body(name, tuple(balls))
+
+
+def camera(name: str, x_mm: float) -> Camera:
+    """One that looks along the world's z axis."""
+    matrix = np.array([[1400.0, 0, 639.5], [0, 1400.0, 359.5], [0, 0, 1]])
+    place = RigidTransform.from_rotvec([0.0, 0.0, 0.0], [x_mm, 0.0, 0.0])
+    return Camera(name, Intrinsics((1280, 720), matrix), place)
+
+
+def measurement(index: int, time_s: float, aside_mm: float = 0.0) -> Measurement:
+    """A pose on a smooth path; every tenth is flagged, every fiftieth lost."""
+    if index % 50 == 49:
+        return Measurement(index, time_s, {}, (), (), None, Status.LOST, "too few balls")
+    turn = [0.3 * np.sin(time_s), 0.2 * np.cos(2 * time_s), 0.5 * time_s]
+    shift = [aside_mm + 30 * np.sin(2 * time_s), 20 * np.cos(time_s), 250 + 9 * np.sin(3 * time_s)]
+    flags = ("the balls are far apart",) if index % 10 == 9 else ()
+    root = np.diag([0.02, 0.03, 0.05, 1e-4, 2e-4, 1e-4])
+    root[0, 4] = 1e-5
+    place = RigidTransform.from_rotvec(turn, shift)
+    pose = Pose(time_s, place, root @ root.T, 0.1, 0.2, ("cam0",), ("green",), flags)
+    status = Status.FLAGGED if flags else Status.OK
+    return Measurement(index, time_s, {}, (), (), pose, status)
+
+
+def write_run(folder: Path, frame_sets: int, rate_hz: float, several: bool = False) -> Path:
+    """A run of so many frame sets of one body, or of two, one relative to the other."""
+    made_from = Provenance("", "", "", "", "", {"name": "none", "settings": {}}, {})
+    bodies = [body("tool"), body("base")] if several else [body("tool")]
+    reference = "base" if several else ""
+    cameras = [camera("cam0", -200.0), camera("cam1", 200.0)]
+    with RunWriter(folder, made_from, bodies, cameras, reference=reference) as writer:
+        for k in range(frame_sets):
+            asides = (0.0, 90.0)[: len(bodies)]
+            writer.append(*(measurement(k, 10.0 + k / rate_hz, aside) for aside in asides))
+        writer.finish()
+    return folder
+
+
+def stored(run: Path) -> dict[tuple[str, str], list[tuple[float, ...] | None]]:
+    """The poses of `poses.csv` and `relative.csv`, by body and reference; None where lost."""
+    out: dict[tuple[str, str], list[tuple[float, ...] | None]] = {}
+    names = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+    for table in (run / "poses.csv", run / "relative.csv"):
+        rows = csv.DictReader(table.read_text("utf-8").splitlines()) if table.exists() else ()
+        for row in rows:
+            key = row.get("body", "tool"), row.get("reference", "")
+            place = tuple(float(row[name]) for name in names) if row["x_mm"] else None
+            out.setdefault(key, []).append(place)
+    return out
+
+
+def free_port(kind: int = socket.SOCK_STREAM) -> int:
+    """A port that nothing listens on."""
+    with socket.socket(socket.AF_INET, kind) as one:
+        one.bind((HOST, 0))
+        return int(one.getsockname()[1])
+
+
+def receive_udp(address: str, over: Over) -> Iterator[Received]:
+    """JSON by UDP."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind((HOST, int(address.rpartition(":")[2])))
+        receiver.settimeout(0.1)
+        while not over():
+            try:
+                row = json.loads(receiver.recv(65_536))
+            except TimeoutError:
+                continue
+            arrived_s = time.time()
+            if "mark" not in row:
+                yield from _row(row, row.get("body", "tool"), arrived_s)
+
+
+def receive_igtl(address: str, over: Over) -> Iterator[Received]:
+    """OpenIGTLink by pyigtl's client; it looks for messages, so arrivals are noted at once."""
+    from pyigtl import OpenIGTLinkClient
+    from pyigtl.messages import MessageBase, message_type_to_class_constructor
+
+    message_type_to_class_constructor["STATUS"] = MessageBase
+    client = OpenIGTLinkClient(HOST, int(address.rpartition(":")[2]), start_now=False)
+    arrived: SimpleQueue[tuple[float, Any]] = SimpleQueue()
+    # The client keeps one message of each name; every one counts here.
+    client.incoming_messages = _Arrivals(arrived)
+    client.start()
+    try:
+        while not over():
+            try:
+                arrived_s, message = arrived.get(timeout=0.1)
+            except Empty:
+                continue
+            name, reference = message.device_name.lower().rsplit("to", 1)
+            matrix = getattr(message, "matrix", None)
+            place = None if matrix is None else place_of(RigidTransform.from_matrix(matrix))
+            stream = name, "" if reference == "tracker" else reference
+            yield Received(stream, message.timestamp, arrived_s, place)
+    finally:
+        client.stop()
+
+
+class _Arrivals(dict[str, Any]):
+    """Passes on every message that is kept in it."""
+
+    def __init__(self, arrived: SimpleQueue[tuple[float, Any]]) -> None:
+        self._arrived = arrived
+
+    def __setitem__(self, name: str, message: Any) -> None:
+        self._arrived.put((time.time(), message))
+
+
+def receive_lsl(address: str, over: Over) -> Iterator[Received]:
+    """LSL by pylsl's inlet."""
+    import pylsl
+
+    inlet = None
+    while inlet is None and not over():
+        for info in pylsl.resolve_byprop("name", address.partition(":")[2], timeout=1.0):
+            inlet = pylsl.StreamInlet(info)
+            inlet.open_stream()
+    while inlet is not None and not over():
+        labels = inlet.info().get_channel_labels() or []
+        sample, stamp = inlet.pull_sample(timeout=0.1)
+        if sample is None:
+            continue
+        arrived_s = time.time()
+        exposed_s = arrived_s - (pylsl.local_clock() - stamp)
+        for at in range(0, len(sample), 10):
+            name, _, reference = labels[at].removesuffix("_x_mm").partition("_in_")
+            place = tuple(sample[at : at + 7]) if sample[at + 9] < 2 else None
+            yield Received((name, reference), exposed_s, arrived_s, place)
+
+
+def receive_foxglove(address: str, over: Over) -> Iterator[Received]:
+    """JSON topics of Foxglove's WebSocket protocol, by a plain WebSocket."""
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    uri = f"ws:{address.partition(':')[2]}"
+    while not over():
+        try:
+            with connect(uri, subprotocols=[Subprotocol("foxglove.sdk.v1")]) as server:
+                yield from _foxglove_rows(server, over)
+        except (OSError, ConnectionClosed):
+            time.sleep(0.02)
+
+
+def _foxglove_rows(server: Any, over: Over) -> Iterator[Received]:
+    while not over():
+        try:
+            message = server.recv(timeout=0.1)
+        except TimeoutError:
+            continue
+        arrived_s = time.time()
+        if isinstance(message, str):
+            told = json.loads(message)
+            wanted = [one["id"] for one in told.get("channels", ()) if one["encoding"] == "json"]
+            asked = [{"id": one, "channelId": one} for one in wanted]
+            server.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+        elif message[0] == 1:
+            row = json.loads(message[13:])
+            yield from _row(row, row["body"], arrived_s)
+
+
+def _row(row: dict[str, Any], body: str, arrived_s: float) -> Iterator[Received]:
+    """A pose as JSON."""
+    names = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+    place = None if row["x_mm"] is None else tuple(row[name] for name in names)
+    yield Received((body, row.get("reference", "")), row["exposed_s"], arrived_s, place)
+
+
+def receive_zenoh(address: str, over: Over) -> Iterator[Received]:
+    """Poses by Zenoh, read by rosbags; it listens where the sink is told to connect."""
+    import zenoh
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    key, _, connect = address.partition(":")[2].partition("?connect=")
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", f'["{connect}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    arrived: SimpleQueue[tuple[float, Any]] = SimpleQueue()
+    with zenoh.open(config) as session:
+        session.declare_subscriber(f"{key}/*/pose", lambda one: arrived.put((time.time(), one)))
+        while not over():
+            try:
+                arrived_s, sample = arrived.get(timeout=0.1)
+            except Empty:
+                continue
+            kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+            told: Any = store.deserialize_cdr(sample.payload.to_bytes(), kind)
+            body, _, reference = str(sample.key_expr).split("/")[1].partition("_in_")
+            at, turn = told.pose.pose.position, told.pose.pose.orientation
+            place = (1e3 * at.x, 1e3 * at.y, 1e3 * at.z, turn.w, turn.x, turn.y, turn.z)
+            stamp = told.header.stamp
+            yield Received((body, reference), stamp.sec + 1e-9 * stamp.nanosec, arrived_s, place)
+
+
+def place_of(pose: RigidTransform) -> tuple[float, ...]:
+    """X y z in mm and the quaternion w x y z."""
+    return (*pose.translation.tolist(), *pose.quat_wxyz.tolist())
+
+
+CLIENTS: dict[str, Callable[[str, Over], Iterator[Received]]] = {
+    "udp": receive_udp,
+    "igtl": receive_igtl,
+    "lsl": receive_lsl,
+    "foxglove": receive_foxglove,
+    "zenoh": receive_zenoh,
+}
+"""By scheme, what receives from an address that `address` makes."""
+
+
+def address(scheme: str) -> str:
+    """An address of `--send` that nobody uses."""
+    if scheme == "lsl":
+        return f"lsl:triball-{free_port()}"
+    if scheme == "zenoh":
+        return f"zenoh:triball?connect=tcp/{HOST}:{free_port()}"
+    kind = socket.SOCK_DGRAM if scheme == "udp" else socket.SOCK_STREAM
+    return f"{scheme}://{HOST}:{free_port(kind)}"

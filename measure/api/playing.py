@@ -1,0 +1,182 @@
+"""A run replayed at its own pace, into sinks and a viewer."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import count
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pyarrow as pa
+
+from measure.api.recording import until_stopped
+from measure.api.run_log import LogOptions
+from measure.api.sending import SendOptions, SentCount, open_sending
+from measure.arrays import Floats
+from measure.errors import ConfigError, RunError
+from measure.geometry import RigidTransform
+from measure.host import Registry, SentPose, SentRun
+from measure.measuring import Measurement, Status
+from measure.model import BallPosition, Pose
+from measure.model.pose_columns import PLACE
+from measure.results import Run, read_runs
+from measure.results.journal import is_missing
+from measure.results.stored import rows_of_body
+from measure.results.tables import BODY, matrices, numbers
+
+
+@dataclass(frozen=True)
+class PlayOptions(SendOptions):
+    """How a run is played, and where to."""
+
+    rate: float = 1.0  # times its own pace
+    loop: bool = False  # begin again at its end, until interrupted
+    wait_s: float = 1.0  # before the first pose, so that receivers find where to connect
+    viewer: str | None = None  # address of a running viewer
+
+
+@dataclass(frozen=True)
+class PlayEnd:
+    """A replay that has ended."""
+
+    frame_sets: int  # how many were played
+    late_s: float  # the most by which one came after its turn
+    sent: Mapping[str, SentCount]  # what came of the poses for each address
+
+
+def play(
+    folder: Path, registry: Registry, options: PlayOptions, over: Event | None = None
+) -> PlayEnd:
+    """Play a run, finished or not, until its end, until interrupted, or until `over` is set.
+
+    Raises:
+        MeasureError: the folder is no run, an address or setting is none, or there is no viewer.
+    """
+    if not (math.isfinite(options.rate) and options.rate > 0):
+        raise ConfigError(f"--rate {options.rate:g}: expected a number above 0")
+    if not 0 <= options.wait_s < math.inf:
+        raise ConfigError(f"--wait-s {options.wait_s:g}: expected seconds, 0 or more")
+    if not (options.send or options.viewer):
+        raise ConfigError("where is it to be played to? give --send ADDRESS, --spawn or --connect")
+    LogOptions(viewer=options.viewer).check_viewer()
+    reel = _Reel(read_runs(folder))
+    sending = open_sending(options, registry, reel.run)
+    with ExitStack() as stack:
+        stop = stack.enter_context(until_stopped(over))
+        stack.enter_context(sending)
+        show = _viewer(stack, reel, options.viewer)
+        played, late_s = 0, 0.0
+        stop.wait(options.wait_s)
+        begun, since_1970 = time.monotonic(), time.time() - time.monotonic()
+        for number, due_s in _turns(reel.times_s, options):
+            if stop.wait(max(begun + due_s - time.monotonic(), 0.0)):
+                break
+            sending.send(reel.poses(number, since_1970 + begun + due_s))
+            late_s = max(late_s, time.monotonic() - begun - due_s)
+            show(number)
+            played += 1
+    return PlayEnd(played, late_s, sending.counts)
+
+
+def _turns(times_s: Floats, options: PlayOptions) -> Iterator[tuple[int, float]]:
+    """Number of every frame set to be played, and its turn in seconds from the start."""
+    period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
+    whole_s = float(times_s[-1] - times_s[0]) + period_s
+    for round_ in count() if options.loop else (0,):
+        for number, time_s in enumerate(times_s.tolist()):
+            yield number, (round_ * whole_s + time_s - times_s[0]) / options.rate
+
+
+def _viewer(stack: ExitStack, reel: _Reel, address: str | None) -> Callable[[int], None]:
+    """What shows a frame set in a viewer; nothing without one."""
+    if address is None:
+        return lambda _: None
+    from measure.viewing.recording import RunRecording, open_recording
+
+    run = reel.run
+    names = [body.name for body in run.bodies]
+    stream = open_recording(run.name, run.cameras, address=address, bodies=names)
+    log = stack.enter_context(RunRecording(stream, run.bodies, run.cameras, 0, live=True))
+    return lambda number: log.add(reel.measurements(number))
+
+
+class _Reel:
+    """All that is played of a run."""
+
+    def __init__(self, runs: Sequence[Run]) -> None:
+        first = runs[0]
+        if not first.poses.num_rows:
+            raise RunError(f"{first.path} holds no frame set to play")
+        self.times_s, self._runs, reference = first.times_s, runs, ""
+        self._tracks = [_Track(run.poses, run.body.name) for run in runs]
+        if not is_missing(first.path, "relative"):
+            table = first.relative()
+            (reference,) = set(table["reference"].to_pylist())
+            for name in dict.fromkeys(table[BODY].to_pylist()):
+                self._tracks.append(_Track(rows_of_body(table, name), name, reference))
+        bodies = tuple(run.body for run in runs)
+        self.run = SentRun(first.path.resolve().name, bodies, first.cameras, reference)
+
+    @cached_property
+    def _balls(self) -> list[dict[int, list[BallPosition]]]:
+        """The positions of each body's balls by frame set."""
+        out: list[dict[int, list[BallPosition]]] = []
+        for run in self._runs:
+            out.append(defaultdict(list))
+            for row in run.balls.to_pylist():
+                center = np.array([row[axis] for axis in PLACE[:3]])
+                spread = np.reshape(row["covariance_mm2"], (3, 3))
+                known = row["ball"], row["time_s"], center, spread, tuple(row["cameras"])
+                out[-1][row["index"]].append(BallPosition(*known, np.zeros(0)))
+        return out
+
+    def poses(self, number: int, exposed_s: float) -> list[SentPose]:
+        """The poses of a frame set."""
+        return [track.sent(number, exposed_s) for track in self._tracks]
+
+    def measurements(self, number: int) -> list[Measurement]:
+        """The measurements of a frame set, without what its pictures showed."""
+        sent = [track.sent(number, 0.0) for track in self._tracks]
+        return [
+            Measurement(
+                *(one.frame, one.time_s, {}, (), tuple(balls[one.frame]), one.pose),
+                status=Status(one.status),
+                reason=one.reason,
+            )
+            for one, balls in zip(sent, self._balls, strict=False)
+        ]
+
+
+class _Track:
+    """The stored poses of a body, perhaps relative to another."""
+
+    def __init__(self, table: pa.Table, body: str, reference: str = "") -> None:
+        self._body, self._reference = body, reference
+        self._rows = table.drop_columns([*PLACE, "covariance"]).to_pylist()
+        self._places = numbers(table, *PLACE)
+        self._covariances = matrices(table, "covariance", 6)
+
+    def sent(self, number: int, exposed_s: float) -> SentPose:
+        """The pose of a frame set."""
+        row, place = self._rows[number], self._places[number]
+        pose = None
+        if np.isfinite(place[0]):
+            pose = Pose(
+                row["time_s"],
+                RigidTransform.from_quat_wxyz(place[3:], place[:3]),
+                self._covariances[number],
+                row["residual_mm"],
+                row["rms_px"],
+                tuple(row["cameras"]),
+                tuple(row["balls"]),
+                tuple(row["flags"]),
+            )
+        head = self._body, self._reference, row["index"], row["time_s"], exposed_s, time.time()
+        return SentPose(*head, row["status"], row["reason"], pose)

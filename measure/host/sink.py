@@ -1,0 +1,162 @@
+"""The interface of sinks: what poses are sent to as soon as they are known."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from measure.errors import ConfigError
+from measure.host.interfaces import Plugin
+from measure.host.settings import Settings
+from measure.model import Body, Camera, Image, Pose
+from measure.model.pose_columns import pose_columns
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SentPose:
+    """A body's pose of one frame set as a sink gets it, or that there is none.
+
+    Attributes:
+        body: the body's name.
+        reference: name of the body whose frame the pose is in; empty for the world.
+        frame: number of the frame set.
+        time_s: the instant that the pose holds for, on the run's clock.
+        exposed_s: the same instant in seconds since 1970, on this machine's clock; of a run that is
+            played, the time of its turn.
+        known_s: when the pose was known, in seconds since 1970.
+        status: ok, flagged, lost or skipped.
+        reason: why it is not ok; empty otherwise.
+        pose: the pose; its `world_from_body` is reference_from_body where there is a reference.
+    """
+
+    body: str
+    reference: str
+    frame: int
+    time_s: float
+    exposed_s: float
+    known_s: float
+    status: str
+    reason: str
+    pose: Pose | None
+
+    def plain(self) -> dict[str, Any]:
+        """All of it as JSON knows it, by the names of `poses.parquet`; null for NaN."""
+        names = ("body", "reference", "time_s", "exposed_s", "known_s", "status", "reason")
+        values = {"frame": self.frame, **{name: getattr(self, name) for name in names}}
+        values |= {"cameras": (), "balls": (), "flags": (), **pose_columns(self.pose)}
+        return {name: _plain(value) for name, value in values.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class EventMark:
+    """An event that the lab told of while a run was measured.
+
+    Attributes:
+        time_s: when, on the run's clock.
+        marked_s: the same in seconds since 1970, as `SentPose.exposed_s`.
+        text: what.
+    """
+
+    time_s: float
+    marked_s: float
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class SentRun:
+    """The run that poses are sent of.
+
+    Attributes:
+        name: of the run.
+        bodies: what is measured.
+        cameras: as calibrated.
+        reference: name of the body that the others are also sent relative to; empty without one.
+    """
+
+    name: str
+    bodies: tuple[Body, ...]
+    cameras: tuple[Camera, ...]
+    reference: str = ""
+
+    @property
+    def streams(self) -> list[tuple[str, str]]:
+        """`body` and `reference` of every kind of pose that is sent."""
+        names = [body.name for body in self.bodies]
+        relative = [(n, self.reference) for n in names if self.reference and n != self.reference]
+        return [(name, "") for name in names] + relative
+
+
+class Sink(Plugin):
+    """Sends poses on; used by one thread of its own, which may wait for nobody but itself.
+
+    What it raises is told in one line; it is then closed, and opened again a second later.
+
+    Attributes:
+        form: how its address is typed after `--send`, such as `udp://HOST:PORT`.
+        takes_pictures: whether `send_pictures` is called.
+        config: its settings.
+        address: what was typed, without the scheme.
+        run: what is sent.
+        undelivered: how many poses it took and could not hand to every receiver.
+    """
+
+    form: ClassVar[str]
+    takes_pictures: ClassVar[bool] = False
+
+    def __init__(self, config: Settings, address: str, run: SentRun) -> None:
+        self.config, self.address, self.run = config, address, run
+        self.undelivered = 0
+        self.prepare()
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Read the address and load libraries; ConfigError: it is none, or one is missing."""
+
+    def open(self) -> None:
+        """Connect, or listen for receivers."""
+
+    @abstractmethod
+    def send(self, pose: SentPose) -> None:
+        """Send a pose, or that there is none."""
+
+    def send_mark(self, mark: EventMark) -> None:
+        """Send an event mark."""
+
+    def send_pictures(self, images: Mapping[str, Image]) -> None:
+        """Send the pictures of a frame set, by camera, when there is time."""
+
+    def close(self) -> None:
+        """Disconnect; whether it was opened or not."""
+
+
+def _plain(value: Any) -> Any:
+    """What JSON knows; no digits that mean nothing."""
+    if isinstance(value, float):
+        return float(f"{value:.9f}") if math.isfinite(value) else None
+    if isinstance(value, tuple | list):
+        return [float(f"{one:.6g}") if isinstance(one, float) else one for one in value]
+    return _plain(value.tolist()) if hasattr(value, "tolist") else value
+
+
+def host_port(address: str) -> tuple[str, int]:
+    """Read HOST:PORT; ConfigError for anything else."""
+    host, _, port = address.rpartition(":")
+    if not (host and port.isdecimal() and 0 < int(port) < 65_536):
+        raise ConfigError("expected HOST:PORT, such as 127.0.0.1:5005")
+    return host.strip("[]"), int(port)
+
+
+def needed(module: str, extra: str) -> Any:
+    """A library of an extra of this program.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ConfigError(f"it needs the extra '{extra}': pip install 'triball[{extra}]'") from None

@@ -1,0 +1,84 @@
+"""Poses as messages of ROS 2, in metres and radians; CDR by rosbags."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import RunError
+from measure.geometry import RigidTransform
+
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TF = "tf2_msgs/msg/TFMessage"
+METRES = np.array([1e-3] * 3 + [1.0] * 3)
+"""A pose's covariance in metres and radians is ours times their outer product."""
+_TRANSFORM = "geometry_msgs/msg/TransformStamped"
+_END_S = 2**31
+
+
+class RosMessages:
+    """Makes messages and serialises them."""
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self.store = get_typestore(Stores.ROS2_JAZZY)
+
+    def cdr(self, kind: str, values: Mapping[str, Any]) -> bytes:
+        """A message of a type such as "geometry_msgs/msg/Pose", serialised."""
+        return bytes(self.store.serialize_cdr(self._message(kind, values), kind))
+
+    def poses(
+        self, time_s: float, frame: str, child: str, pose: RigidTransform, covariance: Floats
+    ) -> Iterator[tuple[str, bytes]]:
+        """Type and content of a pose with its (6, 6) covariance in mm, and of its transform.
+
+        ROS orders a pose covariance as we do (x y z, then rotations about the fixed axes).
+        """
+        head = header(time_s, frame)
+        place, turn = letters("xyz", pose.translation / 1000), letters("wxyz", pose.quat_wxyz)
+        spread = (covariance * np.outer(METRES, METRES)).reshape(36)
+        stated = {"pose": {"position": place, "orientation": turn}, "covariance": spread}
+        yield POSE, self.cdr(POSE, {"header": head, "pose": stated})
+        moved = {"translation": place, "rotation": turn}
+        transform = {"header": head, "child_frame_id": child, "transform": moved}
+        yield TF, self.cdr(TF, {"transforms": [self._message(_TRANSFORM, transform)]})
+
+    def _message(self, kind: str, values: Mapping[str, Any]) -> Any:
+        """A message; parts of it may be mappings too."""
+        kinds = dict(self.store.get_msgdef(kind).fields)
+        made = {
+            name: self._message(kinds[name][1], value) if isinstance(value, Mapping) else value
+            for name, value in values.items()
+        }
+        return self.store.types[kind](**made)
+
+
+def header(time_s: float, frame: str) -> dict[str, Any]:
+    """The header of a message."""
+    sec, nanosec = divmod(nanoseconds(time_s), 10**9)
+    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame}
+
+
+def letters(names: str, values: Floats) -> dict[str, float]:
+    """Numbers that are called by single letters."""
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def topic_name(name: str) -> str:
+    """A name as ROS allows it in a topic."""
+    word = "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
+    return word if word[:1].isalpha() else f"ball_{word}"
+
+
+def nanoseconds(time_s: float) -> int:
+    """A time as ROS counts it; RunError: it knows no such time."""
+    if not 0 <= time_s < _END_S:
+        raise RunError(
+            f"ROS knows no time {time_s:g} s, only those from 0 to {_END_S}: shift the session's "
+            "clocks with time_offset_s, or export another format"
+        )
+    return round(time_s * 1e9)

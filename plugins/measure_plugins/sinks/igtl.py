@@ -1,0 +1,118 @@
+"""The sink `igtl`: a server of OpenIGTLink, which 3D Slicer and PLUS connect to."""
+
+from __future__ import annotations
+
+import re
+import socket
+import struct
+from contextlib import suppress
+
+from measure.errors import ConfigError
+from measure.host import SentPose, Settings, Sink, hookimpl, host_port, needed, setting
+
+_NAME_BYTES = 20  # Of a device's name in the head of a message
+_NOT_FOUND = 4  # The code of a STATUS that says what was asked for is not there
+
+
+class IgtlSettings(Settings):
+    """Settings of the `igtl` sink."""
+
+    world: str = setting("Tracker", "Name of the world's frame, as in ToolToTracker.")
+
+
+class IgtlSink(Sink):
+    """TRANSFORM messages in mm for every program that connects, STATUS where there is no pose.
+
+    A receiver that does not read loses its own poses.
+    """
+
+    name = "igtl"
+    form = "igtl://HOST:PORT"
+    Config = IgtlSettings
+    config: IgtlSettings
+
+    def prepare(self) -> None:
+        """Read the address and load the libraries."""
+        self._place = host_port(self.address)
+        self._messages = needed("pyigtl.messages", "igtl")
+        names = [self._device(*stream) for stream in self.run.streams]
+        for name in names:
+            if len(name) > _NAME_BYTES or names.count(name) > 1 or not name.isascii():
+                raise ConfigError(
+                    f"'{name}' is no name of its own of at most {_NAME_BYTES} ASCII letters: "
+                    "call the body or, with ?world=, the world otherwise"
+                )
+        self._server: socket.socket | None = None
+        # With what a receiver has not taken of a message yet: it gets that before the next.
+        self._clients: dict[socket.socket, bytes] = {}
+
+    def open(self) -> None:
+        """Listen."""
+        family = socket.AF_INET6 if ":" in self._place[0] else socket.AF_INET
+        self._server = socket.create_server(self._place, family=family)
+        self._server.setblocking(False)
+
+    def send(self, pose: SentPose) -> None:
+        """One message to each receiver."""
+        name = self._device(pose.body, pose.reference)
+        if pose.pose is None:
+            status = struct.pack(">Hq20s", _NOT_FOUND, 0, pose.status.encode())
+            content = status + pose.reason.encode() + b"\0"
+            message = self._messages.MessageBase(pose.exposed_s, name)
+            vars(message).update(_message_type="STATUS", _pack_content=lambda: content)
+        else:
+            place = pose.pose.world_from_body.matrix
+            message = self._messages.TransformMessage(place, pose.exposed_s, name)
+        self._accept()
+        data = message.pack()
+        took = [self._send_to(client, data) for client in list(self._clients)]
+        self.undelivered += not all(took)
+
+    def close(self) -> None:
+        """Close all connections."""
+        for one in (*self._clients, *filter(None, [self._server])):
+            one.close()
+        self._clients, self._server = {}, None
+
+    def _device(self, body: str, reference: str) -> str:
+        """The name that PLUS would give it, such as ToolToReference."""
+        words = (re.split(r"[\W_]+", name) for name in (body, reference or self.config.world))
+        return "To".join("".join(w[:1].upper() + w[1:] for w in some) for some in words)
+
+    def _accept(self) -> None:
+        with suppress(BlockingIOError):
+            while self._server is not None:
+                client, _ = self._server.accept()
+                client.setblocking(False)
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._clients[client] = b""
+
+    def _send_to(self, client: socket.socket, data: bytes) -> bool:
+        """Send what is left and then `data`; whether it is on its way."""
+        try:
+            with suppress(BlockingIOError):
+                while client.recv(65_536):  # what it says is of no interest
+                    pass
+                raise ConnectionResetError
+            left = self._clients[client]
+            left = left[_taken(client, left) :]
+            self._clients[client] = left or data[_taken(client, data) :]
+            return not left
+        except OSError:
+            del self._clients[client]
+            client.close()
+        return True
+
+
+def _taken(client: socket.socket, data: bytes) -> int:
+    """How much of it a receiver takes at once."""
+    try:
+        return client.send(data)
+    except BlockingIOError:
+        return 0
+
+
+@hookimpl
+def measure_sinks() -> list[type[Sink]]:
+    """Register `igtl`."""
+    return [IgtlSink]

@@ -1,0 +1,79 @@
+"""The sink `zenoh`: messages of ROS 2 on the keys that zenoh-bridge-ros2dds passes on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from measure.errors import ConfigError
+from measure.host import SentPose, Settings, Sink, hookimpl, needed, setting
+from measure.robots.ros_messages import POSE, RosMessages, topic_name
+
+
+class ZenohSettings(Settings):
+    """Settings of the `zenoh` sink."""
+
+    connect: str = setting("", "Where to connect, as tcp/HOST:7447; empty: look around for peers.")
+    world: str = setting("world", "Name of the world's frame.")
+    tf_key: str = setting("tf", "Key of the transforms, which ROS expects in /tf.")
+
+
+class ZenohSink(Sink):
+    """PoseWithCovarianceStamped on KEY/BODY/pose and TFMessage on tf, in metres, as CDR.
+
+    Frame sets without a pose are not sent.
+    """
+
+    name = "zenoh"
+    form = "zenoh:KEY"
+    Config = ZenohSettings
+    config: ZenohSettings
+
+    def prepare(self) -> None:
+        """Read the address and load the libraries."""
+        self._zenoh = needed("zenoh", "zenoh")
+        needed("rosbags", "zenoh")
+        self._key = self.address.strip("/")
+        if not self._key or set("*$?#") & set(self._key):
+            raise ConfigError("expected a key such as triball")
+        self._messages = RosMessages()
+        self._session: Any = None
+        self._publishers: dict[str, Any] = {}
+
+    def open(self) -> None:
+        """Join the network of Zenoh."""
+        config = self._zenoh.Config()
+        if self.config.connect:
+            config.insert_json5("connect/endpoints", f'["{self.config.connect}"]')
+            config.insert_json5("scouting/multicast/enabled", "false")
+        self._session = self._zenoh.open(config)
+
+    def send(self, pose: SentPose) -> None:
+        """The pose and its transform, if there is one."""
+        if pose.pose is None:
+            return
+        body, reference = topic_name(pose.body), topic_name(pose.reference or self.config.world)
+        # A frame has one parent: the body's own is the world.
+        child = f"{body}_in_{reference}" if pose.reference else body
+        place, covariance = pose.pose.world_from_body, pose.pose.covariance
+        made = self._messages.poses(pose.exposed_s, reference, child, place, covariance)
+        for kind, data in made:
+            key = f"{self._key}/{child}/pose" if kind == POSE else self.config.tf_key
+            if key not in self._publishers:
+                wait = self._zenoh.CongestionControl.BLOCK  # or what is lost would not be counted
+                publisher = self._session.declare_publisher(
+                    key, express=True, congestion_control=wait
+                )
+                self._publishers[key] = publisher
+            self._publishers[key].put(data)
+
+    def close(self) -> None:
+        """Leave the network."""
+        if self._session is not None:
+            self._session.close()
+        self._session, self._publishers = None, {}
+
+
+@hookimpl
+def measure_sinks() -> list[type[Sink]]:
+    """Register `zenoh`."""
+    return [ZenohSink]

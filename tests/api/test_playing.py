@@ -1,0 +1,134 @@
+"""Runs played into sinks, by command line and in one call."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from benchmarks.sinks import address, write_run
+from measure.api import PlayOptions, play
+from measure.cli import main
+from measure.host import Registry
+from tests.receiving import check_same, receiving
+
+FRAMES = 150
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return write_run(tmp_path_factory.mktemp("one") / "run", FRAMES, 200.0)
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """Two bodies, one relative to the other."""
+    return write_run(tmp_path_factory.mktemp("two") / "run", 60, 200.0, several=True)
+
+
+def test_every_pose_is_received_at_its_turn(run, capsys):
+    where = address("udp")
+    begun = time.monotonic()
+    with receiving(where) as received:
+        assert main(["play", str(run), "--send", where, "--wait-s", "0", "--json"]) == 0
+    assert time.monotonic() - begun > 0.9 * FRAMES / 200.0
+    told = capsys.readouterr()
+    counts = json.loads(told.out)
+    assert counts["frame_sets"] == FRAMES
+    assert counts["sent"] == {where: {"sent": FRAMES, "lost": 0}}
+    assert told.err.splitlines() == [f"{where}: {FRAMES} poses sent, none lost"]
+    check_same(received, run)
+    steps = np.diff([one.exposed_s for one in received])
+    np.testing.assert_allclose(steps, 1 / 200.0, atol=1e-5)
+
+
+def test_bodies_and_relative_poses_are_named(two):
+    where = address("udp")
+    with receiving(where) as received:
+        play(two, Registry.discover(), PlayOptions(wait_s=0.0, rate=4.0, send=(where,)))
+    check_same(received, two)
+    assert {one.stream for one in received} == {("tool", ""), ("base", ""), ("tool", "base")}
+
+
+def test_what_is_sent_is_what_the_run_holds(run):
+    """All the columns of a row, with its reasons."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5.0)
+        where = f"udp://127.0.0.1:{receiver.getsockname()[1]}"
+        play(run, Registry.discover(), PlayOptions(wait_s=0.0, rate=20.0, send=(where,)))
+        rows = [json.loads(receiver.recv(65_536)) for _ in range(50)]
+    assert {"frame", "time_s", "covariance", "rms_px", "flags", "cameras"} <= rows[0].keys()
+    assert "body" not in rows[0]
+    assert rows[9]["status"] == "flagged"
+    assert rows[9]["reason"] == "the balls are far apart"
+    assert (rows[49]["status"], rows[49]["x_mm"]) == ("lost", None)
+    assert rows[49]["reason"] == "too few balls"
+    covariance = np.reshape(rows[3]["covariance"], (6, 6))
+    assert covariance[0, 0] == pytest.approx(0.02**2 + 1e-10)
+    assert rows[3]["time_s"] == pytest.approx(10.0 + 3 / 200.0)
+
+
+def test_an_interrupt_ends_a_loop(run, capsys):
+    where = address("udp")
+
+    def interrupt():
+        while len(received) <= 2 * FRAMES and time.monotonic() < begun + 30.0:
+            time.sleep(0.01)
+        signal.raise_signal(signal.SIGINT)
+
+    begun = time.monotonic()
+    with receiving(where) as received:
+        thread = threading.Thread(target=interrupt)
+        thread.start()
+        assert (
+            main(
+                [
+                    "play",
+                    str(run),
+                    "--rate",
+                    "10",
+                    "--loop",
+                    "--send",
+                    where,
+                    "--wait-s",
+                    "0",
+                    "--json",
+                ]
+            )
+            == 0
+        )
+        thread.join()
+    assert json.loads(capsys.readouterr().out)["frame_sets"] > 2 * FRAMES
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (("--send", "nowhere"), "--send nowhere: no sink is called so; --send takes "),
+        (("--send", "osc://127.0.0.1:1"), "--send osc://127.0.0.1:1: no sink is called so; "),
+        (("--send", "udp://127.0.0.1"), "udp://127.0.0.1: expected HOST:PORT, such as "),
+        (("--send", "udp://127.0.0.1:5?form=osc"), "unknown setting 'form'; it has format"),
+        (("--send", "udp://127.0.0.1:5", "--set", "udp.format=xml"), "'format': input should be"),
+        (("--send", "udp://127.0.0.1:5", "--set", "igt.x=1"), "--set igt.x=1: expected SINK.NAME"),
+        (("--send", "udp://nowhere.invalid:5"), "cannot send to nowhere.invalid:5"),
+        (("--rate", "0", "--send", "udp://127.0.0.1:5"), "--rate 0: expected a number above 0"),
+        ((), "where is it to be played to?"),
+    ],
+)
+def test_what_cannot_be_played_is_one_line(run, capsys, more, told):
+    assert main(["play", str(run), *more]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+    if "--send" in more and "--rate" not in more and "--set" not in more:
+        assert "udp://HOST:PORT" in line
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
+    assert main(["play", str(tmp_path), "--send", "udp://127.0.0.1:5"]) == 2
+    assert "is no run" in capsys.readouterr().err
