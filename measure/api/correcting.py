@@ -81,11 +81,7 @@ def estimate_online(
     on_state: Callable[[EstimateServer], None],
     on_refusal: Callable[[str], None],
 ) -> EstimateServer:
-    """Answer states by UDP until the time is over or the process is interrupted.
-
-    In `realtime` before other processes, with memory that is not swapped; `on_refusal` gets one
-    line if the system does not allow it.
-    """
+    """Answer states by UDP until the time is over or the process is interrupted."""
     from measure import learning
     from measure.learning.datagrams import claim_realtime
 

@@ -19,11 +19,7 @@ from measure.session import Session
 def measure_session(
     session: Session, profile: Profile, registry: Registry
 ) -> Iterator[tuple[FrameSet, Measurement]]:
-    """Each frame set of an open session with its measurement, in order, as soon as that is final.
-
-    Measured after a burn-in if detectors calibrate themselves; of several bodies the first: see
-    `measure_bodies`.
-    """
+    """Each frame set of a session with its (first) body's measurement, once that is final."""
     pipeline = calibrated_pipeline(session, profile, registry)
     for frame_set, (measured,) in measure_frame_sets([pipeline], session.frame_sets()):
         yield frame_set, measured
@@ -68,10 +64,7 @@ def calibrated_pipeline(
 def search_frame_sets(
     session: Session, searches: Sequence[Mapping[str, Detector]], chosen: Iterable[int]
 ) -> Iterator[tuple[FrameSet, list[dict[str, list[Detection]]]]]:
-    """Search whole pictures of some frame sets, the cameras side by side.
-
-    Each comes with what each of the searches, a detector for each camera by name, found by camera.
-    """
+    """Some frame sets, and by camera what each search found in the whole pictures."""
     with ThreadPoolExecutor(len(session.cameras)) as pool:
         for index in chosen:
             frame_set = next(iter(session.frame_sets(start=index, prefetch=1)))

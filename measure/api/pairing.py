@@ -68,11 +68,7 @@ def make_dataset(
 
 
 def read_tracks(runs: Sequence[Path], frame: Path | None, robot: str) -> list[PoseTrack]:
-    """Measured positions of runs or files of poses: of the reported point in the robot's base.
-
-    Without a frame of where these are, of the body's origin in the cameras' world. EstimatorError:
-    no poses, or a frame of another robot.
-    """
+    """Tracks of the reported point in the robot's base; of the body's origin without a frame."""
     from measure.learning import files
     from measure.learning.frames import read_frame
 

@@ -26,11 +26,7 @@ _START_VIEWS = 8  # Most views that they are tried on
 
 
 def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidTransform:
-    """Pose camera_from_board from points (n, 3), n >= 4, and their pixels (n, 2).
-
-    Of the two poses a flat board allows, the one that reprojects better; CalibrationError if none
-    puts the board in front of the camera.
-    """
+    """Pose camera_from_board from n >= 4 points (n, 3) and pixels (n, 2): of two the better one."""
     bearings = intrinsics.unproject(pixels)
     if not np.isfinite(bearings).all():
         raise CalibrationError("the board's corners lie where the lens sees nothing")

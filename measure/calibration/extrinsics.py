@@ -64,11 +64,7 @@ def fit_rig(
     corner_sd_px: float | None = None,
     mark_sd_px: float | None = None,
 ) -> RigFit:
-    """Fit all cameras jointly; CalibrationError if a camera's pose stays undetermined.
-
-    A lens with a covariance is refined within it, one without stays as it is. Standard deviations
-    of corners and marks are estimated where they are not given.
-    """
+    """Fit all cameras jointly, a lens within its covariance; without one it stays as it is."""
     layout = lay_out(start, observations)
     boards = {name: board.world_from_board for name, board in observations.boards.items()}
     offsets = {name: np.zeros(2) for name in layout.offsets}

@@ -49,11 +49,7 @@ class LensCalibration:
 def calibrate_lens(
     board: Board, views: ViewSet, camera: str, projection: Projection | None = None
 ) -> LensCalibration:
-    """Calibrate a lens; of no stated kind a pinhole, with advice where a fisheye fits better.
-
-    CalibrationError: the views do not fit the board, are too few after bad ones went, or leave the
-    focal length undetermined.
-    """
+    """Calibrate a lens; of no stated kind a pinhole, with advice where a fisheye fits better."""
     if projection is not None:
         return _calibrate(board, views, camera, projection)
     try:

@@ -43,11 +43,7 @@ class PaperFit:
 def fit_rig_by_paper(
     start: tuple[Camera, ...], observations: RigObservations, mark_sd_px: float | None = None
 ) -> PaperFit:
-    """Every camera by itself, from its markers, beginning at its rough pose.
-
-    The standard deviation of marks is that of the residuals if omitted. CalibrationError: a camera
-    with fewer than three marks, or no optimum found.
-    """
+    """Every camera by itself, from three markers or more, beginning at its rough pose."""
     cameras, squares, freedom = [], 0.0, 0.0
     for camera in start:
         located, residuals = _located(camera, observations)

@@ -44,10 +44,7 @@ def linear_light(bgr: Bytes) -> Floats:
 
 
 def spots(excess: Floats) -> Iterator[tuple[slice, slice, Bools]]:
-    """What stands out of linear luminance less its surroundings (h, w): rows, columns, and which.
-
-    A spot's mask (rows, columns) tells it from others within its box.
-    """
+    """Rows, columns and masks of what stands out of luminance less its surroundings (h, w)."""
     spread = float(np.median(np.abs(excess))) * MAD_TO_SD
     mask = (excess > max(8 * spread, 0.02)).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)

@@ -73,11 +73,7 @@ class RigCalibration:
 def calibrate_capture(
     capture: Capture, method: Method = "joint", progress: Progress | None = None
 ) -> RigCalibration:
-    """Calibrate all cameras of a capture: all at once ("joint"), or by equation 3 ("paper").
-
-    CalibrationError, with its cause: what cannot give a trustworthy calibration. SessionError: a
-    picture or video that cannot be read.
-    """
+    """Calibrate all cameras of a capture: all at once ("joint"), or by equation 3 ("paper")."""
     lenses: dict[str, LensCalibration] = {}
     known: dict[str, Intrinsics] = {}
     # All common views are kept, similar ones too: the other camera may need them.

@@ -120,10 +120,7 @@ def oriented_board(
 def _misfit_px(
     camera: CameraCapture, lens: Intrinsics, seen: BoardObservation, capture: Capture
 ) -> float:
-    """By how much a camera's marks miss if its board lies so; 0 without marks.
-
-    Infinite if the camera would stand under the floor, or no marks are found.
-    """
+    """By how much marks miss if the board lies so; infinite under the floor or without finds."""
     start = start_from_board(camera.name, lens, seen)
     floor = capture.settings.floor_z_mm
     if floor is not None and start.center[2] < floor:
@@ -138,11 +135,7 @@ def _misfit_px(
 def marks_of(
     camera: CameraCapture, lens: Intrinsics, start: Camera | None, capture: Capture
 ) -> tuple[Camera, MarkerObservation | None, FoundMarkers | None]:
-    """The rough camera, its marks by hand and by search (the hand wins), and the search's finds.
-
-    CalibrationError: neither board nor marks locate it, or too few markers are found and none
-    marked.
-    """
+    """The rough camera, its marks by hand and by search (the hand wins), and the search's finds."""
     markers = capture.markers
     by_hand = marker_observation(camera.marks, markers)
     if start is None:

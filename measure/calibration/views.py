@@ -31,10 +31,7 @@ _LEAST_MARKERS = 4
 
 
 def charuco_slip(board: Board, grays: Sequence[Bytes]) -> str:
-    """What to write into the file of a board that none of these pictures (h, w) shows; else "".
-
-    Tries the other layout, counts swapped or of squares, inverted print and other dictionaries.
-    """
+    """What a board's file must say instead, by pictures (h, w) none of which shows it; else ""."""
     if not isinstance(board, Charuco):
         return ""
     own = next(name for name in _FAMILIES if _is_of(board.dictionary, name))
@@ -154,10 +151,7 @@ class ViewSet:
 def find_views(
     board: Board, pictures: Iterable[tuple[str, Bytes]], camera: str, limit: int = MAX_VIEWS
 ) -> ViewSet:
-    """Find the board in pictures (name and BGR pixels) and choose views.
-
-    CalibrationError: pictures of different sizes, no board in any, or too few different views.
-    """
+    """Find the board in pictures (name and BGR pixels) of one size, and choose different views."""
     seen: list[Corners] = []
     left_out: dict[str, str] = {}
     size: tuple[int, int] | None = None

@@ -127,10 +127,7 @@ _CURRENT_AND_FUTURE = 3  # MCL_CURRENT | MCL_FUTURE of mlockall(2)
 
 
 def claim_realtime() -> str:
-    """Schedule this process before all ordinary ones, with memory that is not swapped.
-
-    Gives what the system refused, in one line; empty if nothing.
-    """
+    """Run before ordinary processes, memory locked; gives what the system refused, or ""."""
     refused = []
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))

@@ -30,10 +30,7 @@ def fit(
 
 
 class _TrackedReport:
-    """A progress callback that keeps the exceptions it raised.
-
-    Shares are clipped to 0 to 1, and NaN becomes 0, before they are reported.
-    """
+    """A progress callback, of shares from 0 to 1, that keeps the exceptions it raised."""
 
     def __init__(self, report: Report) -> None:
         self._report = report

@@ -57,10 +57,7 @@ class SpinAxis:
 
 
 def find_tip(poses: PoseTable, shared: SharedErrors) -> Pivot:
-    """The point of the body that stays where it is while the body turns.
-
-    DegenerateGeometryError: too few poses, turned too little, or no point stays.
-    """
+    """The body's point that stays while it turns; DegenerateGeometryError if poses show none."""
     _refuse_few(poses)
     swing = _full_cone_deg(np.linalg.eigvalsh(_turning(poses.world_from_body.rotation))[0])
     if swing < _LEAST_SWING_DEG:
@@ -89,10 +86,7 @@ def find_tip(poses: PoseTable, shared: SharedErrors) -> Pivot:
 
 
 def find_spin_axis(poses: PoseTable, shared: SharedErrors, tip_mm: Floats) -> SpinAxis:
-    """The direction in the body that stays while the body is spun about it, away from its tip.
-
-    DegenerateGeometryError: too few poses, or turned too little or about other axes as well.
-    """
+    """The body's direction that stays while it is spun; DegenerateGeometryError if none does."""
     _refuse_few(poses)
     values, axes = np.linalg.eigh(_turning(poses.world_from_body.rotation))
     axis = axes[:, 0]

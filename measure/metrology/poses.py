@@ -142,10 +142,7 @@ def unexplained(stated: Floats, known: Floats) -> Floats:
 
 
 def scatter_share(deviations: Floats, covariance: Floats, spent: float = 1.0) -> Floats:
-    """Variance of deviations (..., n, 6) over that of covariances (..., 6, 6), mean of directions.
-
-    `spent` of the n went into the mean or the curve that they deviate from.
-    """
+    """Variance of n deviations, less `spent` ones, over that of covariances, mean of directions."""
     whole = _mean_ratio(np.swapaxes(deviations, -1, -2) @ deviations, covariance)
     return np.asarray(whole / max(deviations.shape[-2] - spent, 1.0))
 

@@ -118,11 +118,7 @@ class Journal:
         self._rows += rows
 
     def flush(self) -> None:
-        """Hand all rows to the operating system, as one batch.
-
-        OSError: they cannot be written, and are kept for another try. RunError: they are not the
-        rows that are kept of the interrupted run.
-        """
+        """Write all rows as one batch; those not written (OSError) are kept for another try."""
         if self._rows:
             batch = pa.RecordBatch.from_pylist(self._rows, self._schema)
             self._refuse_other_rows(batch)

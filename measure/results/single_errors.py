@@ -207,10 +207,7 @@ def detection_errors_by_marks(run: Run, marks: Marks) -> SingleErrors:
 
 
 def triangulate(seen: BallObservations, cameras: Sequence[Camera]) -> dict[tuple[int, str], Floats]:
-    """Points nearest to the rays of each ball at each instant, by (index, ball).
-
-    Unweighted, so that the weights of a triangulator are not part of the error.
-    """
+    """Points nearest to the rays, unweighted, of each ball at each instant, by (index, ball)."""
     origins, directions = np.zeros((len(seen.index), 3)), np.zeros((len(seen.index), 3))
     for camera in cameras:
         mine = seen.camera == camera.name

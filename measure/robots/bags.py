@@ -247,10 +247,7 @@ def _types() -> Any:
 def bag_pieces(
     path: Path, schema: StateSchema, topic: str | None = None
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Stamps (n,) in s and states (n, features) of one arm from a bag, piece by piece.
-
-    EstimatorError: no or several topics hold the states, fields are missing, or it cannot be read.
-    """
+    """Stamps (n,) in s and states (n, features) of one arm from a bag, piece by piece."""
     if not path.is_dir():
         check_ordinary(path, EstimatorError)
     states = _bag_states(path, schema, topic)

@@ -21,10 +21,7 @@ _HUES = 180
 
 
 def check_bodies(bodies: Sequence[Body], reference: str, source: str) -> None:
-    """Refuse (SessionError) bodies, named in `source`, that cannot be measured together.
-
-    Two have one name or cannot be told apart, or the reference is none of them.
-    """
+    """Refuse (SessionError) bodies of one name, alike, or with a reference that is none of them."""
     names = [body.name for body in bodies]
     if len(names) > _MOST_BODIES:
         raise SessionError(f"{source}: {len(names)} bodies, but at most {_MOST_BODIES} fit a run")

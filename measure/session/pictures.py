@@ -68,10 +68,7 @@ def picture_bytes(path: Path, where: str = "") -> bytes:
 
 
 def refuse_huge(size_wh: tuple[int, int], where: str) -> None:
-    """Refuse (SessionError) a picture before it takes the memory that its header asks for.
-
-    More megapixels than the environment's MEASURE_MAX_MEGAPIXELS, else 100.
-    """
+    """Refuse (SessionError) a picture larger than MEASURE_MAX_MEGAPIXELS, else 100, undecoded."""
     most = most_pixels()
     if size_wh[0] * size_wh[1] > most:
         raise SessionError(
@@ -95,10 +92,7 @@ def most_pixels() -> float:
 
 
 def picture_size_wh(data: bytes) -> tuple[int, int] | None:
-    """Width and height in px that a picture's header states; None if none can be read.
-
-    Of a tiled TIFF the tile's, where that is larger: it is decoded as a whole.
-    """
+    """Width and height in px by a picture's header, or of a TIFF's larger tile; None if unknown."""
     if data.startswith(JPEG_START):
         return jpeg_size_wh(data)
     if (header := _header(data)) is None:

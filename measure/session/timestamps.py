@@ -29,11 +29,7 @@ class Stamps:
 
 
 def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stamps:
-    """Read `frame,time_s`, or with another heading of the time (see `time_columns`).
-
-    SessionError, with camera, file and line: a value is missing, is no number, is NaN, or goes
-    backwards.
-    """
+    """Read `frame,time_s` (or see `time_columns`); SessionError with camera, file and line."""
     table = read_number_table(
         path, ("frame", "time_s"), f"camera '{camera}': ", time_column=time_column
     )

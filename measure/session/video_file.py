@@ -91,10 +91,7 @@ def index_video(path: Path, where: str) -> VideoIndex:
 
 
 class VideoReader:
-    """Gives the frames of an indexed video by position; fast when asked in order.
-
-    Safe to call from several threads; one frame is decoded at a time.
-    """
+    """Gives an indexed video's frames by position, fastest in order; threads may share it."""
 
     def __init__(self, path: Path, index: VideoIndex) -> None:
         self.path = path

@@ -276,10 +276,7 @@ def refine_measured(
     settings: RefineSettings | None = None,
     joint_covariance: Floats | None = None,
 ) -> RefinedRig:
-    """Refine cameras over a measured session.
-
-    CalibrationError: too little seen, too little motion, or an implausible result.
-    """
+    """Refine cameras over a measured session; CalibrationError: too little seen, or implausible."""
     recording = recording_of(measurements, body)
     clocks, trusted = _clocks(cameras, body, measurements, recording, settings, joint_covariance)
     applied = trusted and any(clock.offset_visible or clock.rolling for clock in clocks)

@@ -150,11 +150,7 @@ def residual_map(
 def state_timeline(
     times_s: Floats, codes: Ints, views: Sequence[str], reasons: Sequence[str]
 ) -> go.Figure:
-    """Who saw what when; where time is short, the commonest reason against a view is shown.
-
-    By codes (views, n), index into `reasons`, 0 meaning effective; a row for each view ("red in
-    cam0").
-    """
+    """Who saw what when, by codes (views, n) into `reasons`, 0 effective; the commonest if many."""
     count = len(times_s)
     ends = np.linspace(0, count, min(count, MAX_POINTS) + 1).astype(np.int64)
     shown = codes if count <= MAX_POINTS else _commonest(codes, ends)

@@ -40,10 +40,7 @@ def trajectory(
     camera_names: Sequence[str],
     doubtful: Floats | None = None,
 ) -> go.Figure:
-    """Where the body went (n, 3) mm, coloured by its uncertainty (n,), among the cameras (m, 3).
-
-    NaN leaves a gap; `doubtful` (k, 3) are loose points.
-    """
+    """Where the body went (n, 3) mm, coloured by its SD (n,), among the cameras; loose points."""
     keep = figures.thinned(len(positions), *positions.T)
     colors = {
         "color": sd_mm[keep],
@@ -83,10 +80,7 @@ def trajectory(
 
 
 def plan(positions: Floats, axes: tuple[int, int], doubtful: Floats) -> go.Figure:
-    """The trajectory (n, 3) mm seen along one axis; drawn also where a browser has no 3-D.
-
-    NaN leaves a gap; `doubtful` (k, 3) are loose points.
-    """
+    """The trajectory (n, 3) mm seen along one axis, with loose points; also without 3-D."""
     figure = figures.blank(300, showlegend=False)
     figure.add_trace(_path(positions, axes, figures.ACCENT))
     if len(doubtful):
