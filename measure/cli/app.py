@@ -7,6 +7,7 @@ import errno
 import os
 import re
 import sys
+import tomllib
 from collections.abc import Sequence
 from importlib import metadata
 from io import TextIOWrapper
@@ -17,54 +18,10 @@ from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter,
 
 from measure.errors import MeasureError
 
-GROUPS: dict[str, dict[str, str]] = {
-    "First steps": {
-        "demo": "Render a session, measure it, compare with the truth; correct a simulated robot."
-    },
-    "Set up": {
-        "studio": "Serve a page that leads from cameras on a desk to a measured object.",
-        "cameras": "List cameras: modes, controls, and whether they deliver.",
-        "detect": "Show what the detector sees in single pictures.",
-        "target": "Draw a printable board, marker field or body.",
-        "record": "Record cameras into a session.",
-        "calibrate": "Calibrate cameras from pictures of boards and markers.",
-        "body": "Write a body file from a recording in which the balls are seen.",
-        "refine": "Refine a calibration from the moving balls themselves.",
-        "sync": "Bring recordings started by hand together, by the balls' motion.",
-        "check": "Say what is wrong or weak in a session before it is measured.",
-    },
-    "Measure": {
-        "run": "Measure a recorded session.",
-        "live": "Measure cameras while they deliver.",
-        "view": "Show a run in the viewer.",
-        "play": "Play a run at its own pace, into whatever takes poses and into the viewer.",
-        "report": "Write a run's report as one HTML file.",
-        "evaluate": "Compare a run with the truth.",
-        "export": "Write a run in another program's format.",
-    },
-    "Use the poses": {
-        "rests": "List where the body stood still, with the displacements between.",
-        "pivot": "Find a tool's tip from a run in which it is turned about it.",
-        "world": "Put a calibration's world where a body or a board is, or through three touches.",
-        "accept": "Test a rig by known lengths: its errors against what it states.",
-        "compare": "Say what differs between two runs, and by how many deviations.",
-    },
-    "Correct a robot": {
-        "simulate": "Render a recording of the simulated RAVEN-II, with its log and its truth.",
-        "register": "Find where a robot stands in the cameras' world, and the body on its tool.",
-        "dataset": "Pair a robot's states with measured position errors.",
-        "train": "Train an estimator of a robot's position error.",
-        "sweep": "Search an estimator's settings, on many machines if there are.",
-        "ablate": "Find out which inputs an estimator needs.",
-        "estimate": "Correct a robot's positions, live or from a file.",
-    },
-    "Extend": {"plugins": "List and describe the installed plugins."},
-}
-"""Commands as typed, each with its line in `measure --help`, the first of its docstring.
-
-`measure/cli/NAME.py` holds the function (or cyclopts App) `NAME`."""
-
-
+GROUPS: dict[str, dict[str, str]] = tomllib.loads(
+    Path(__file__).with_name("commands.toml").read_text("utf-8")
+)
+"""By group, commands as typed, each with its line in `measure --help`."""
 DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 """Exit codes. An exception we did not foresee is a defect: python prints it and exits with 1."""
 

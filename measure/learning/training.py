@@ -6,7 +6,7 @@ import json
 import platform
 import shutil
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib import metadata
@@ -153,62 +153,36 @@ def revision() -> str:
 
 def write_card(path: Path, card: Mapping[str, Any]) -> None:
     """Write a model card as Markdown."""
-    found = [f"- {line}" for line in card.get("findings", ())]
-    parts = (
-        _origin(card),
-        _promise(card),
-        _scores(card["scores"], card["scored_on"]),
-        ["## What the fit found", "", *found] if found else [],
-        _state(card["features"]),
-        ("## The file", "", card["contract"]),
-        _LIMITS,
-    )
-    text = "\n\n".join("\n".join(lines) for lines in parts if lines)
-    path.write_text(text + "\n", encoding="utf-8")
-
-
-def _state(features: Sequence[tuple[str, str]]) -> list[str]:
-    """Names and units of the features of a state, in the order in which they are sent."""
-    return [
-        "## A state",
-        "",
-        f"What `measure estimate` expects, {len(features)} numbers in this order:",
-        "",
-        ", ".join(f"`{name}`" + (f" {unit}" if unit else "") for name, unit in features),
-    ]
-
-
-_LIMITS = (
-    "## Limits",
-    "",
-    "Valid for this robot, its cables as they were, and motions like those of the training.",
-    "States beyond them are flagged as unfamiliar. After a restart a static offset may remain:",
-    "`measure estimate --rezero` removes it. When the drift monitor warns, train again.",
-)
-
-
-def _origin(card: Mapping[str, Any]) -> list[str]:
-    return [
-        f"# {card['estimator']} for {card['robot']}",
-        "",
-        *([card["about"], ""] if "about" in card else []),
-        "Corrects the reported tip position: add `error_mm` to it. The file holds normalisation,",
-        "features, networks and state; `measure estimate` runs it, or any ONNX runtime.",
-        "",
-        f"- made by triball {card['triball']} (revision {card['revision']}), {card['created']}",
-        *([f"- command: `{card['command']}`"] if "command" in card else []),
-        f"- seed {card['seed']}; settings {card['settings']}",
-        *(
+    scores, left_out, features = card["scores"], card["left_out"], card["features"]
+    speeds = ((speed_range(low, high), b, a) for low, high, b, a in scores["by_speed"] if b["rows"])
+    values = {
+        "said_about": f"{card['about']}\n\n" if "about" in card else "",
+        "said_command": f"- command: `{card['command']}`\n" if "command" in card else "",
+        "said_data": "\n".join(
             f"- {part}: {facts['usable']} labels in {len(facts['trajectories'])} trajectories, "
             f"digest {facts['digest']}"
             for part, facts in card["data"].items()
         ),
-    ]
+        "promise": promise(left_out and LeftOut(**left_out)),
+        "times": scores["consistency"] ** 0.5,
+        "trajectory_rows": _rows((n, b, a) for n, (b, a) in scores["by_trajectory"].items()),
+        "speed_rows": _rows(speeds),
+        "said_findings": "\n".join(
+            ["## What the fit found", "", *(f"- {line}" for line in card["findings"]), "", ""]
+        )
+        if card.get("findings")
+        else "",
+        "count": len(features),
+        "said_features": ", ".join(f"`{name}`" + (f" {u}" if u else "") for name, u in features),
+    }
+    form = Path(__file__).with_name("model_card.md").read_text("utf-8")
+    path.write_text(form.format(**{**scores, **card, **values}), encoding="utf-8")
 
 
-def _promise(card: Mapping[str, Any]) -> list[str]:
-    known = card["left_out"]
-    return ["## On a new recording", "", promise(known and LeftOut(**known))]
+def _rows(scored: Iterable[tuple[str, Any, Any]]) -> str:
+    return "\n".join(
+        f"| {name} | {b['rows']} | {b['rms_mm']:.3f} | {a['rms_mm']:.3f} |" for name, b, a in scored
+    )
 
 
 def promise(left_out: LeftOut | None) -> str:
@@ -227,41 +201,3 @@ def promise(left_out: LeftOut | None) -> str:
         f"{change}, and the covariance is theirs: after a restart or on another day errors are "
         "larger than it says. Record several times, after a restart each."
     )
-
-
-def _scores(scores: Mapping[str, Any], part: str) -> list[str]:
-    return [
-        f"## Error on the {part} trajectories, mm",
-        "",
-        "| | RMS | SD | 95 % | RMS x | RMS y | RMS z |",
-        "|---|---|---|---|---|---|---|",
-        _row("reported", scores["before"]),
-        _row("corrected", scores["after"]),
-        "",
-        (
-            f"RMS {scores['rms_change']:+.1%}, SD {scores['sd_change']:+.1%}. Residuals are "
-            f"{scores['consistency'] ** 0.5:.2f} times as large as the reported covariance says"
-        ),
-        f"(1 is honest); {scores['unfamiliar']:.2%} of the states were flagged as unlike training.",
-        "",
-        f"| {part} trajectory | labels | RMS before | RMS after |",
-        "|---|---|---|---|",
-        *(
-            f"| {name} | {b['rows']} | {b['rms_mm']:.3f} | {a['rms_mm']:.3f} |"
-            for name, (b, a) in scores["by_trajectory"].items()
-        ),
-        "",
-        "| speed, mm/s | labels | RMS before | RMS after |",
-        "|---|---|---|---|",
-        *(
-            f"| {speed_range(low, high)} | {b['rows']} | {b['rms_mm']:.3f} | {a['rms_mm']:.3f} |"
-            for low, high, b, a in scores["by_speed"]
-            if b["rows"]
-        ),
-    ]
-
-
-def _row(name: str, score: Mapping[str, Any]) -> str:
-    names = ("rms_mm", "sd_mm", "p95_mm")
-    cells = [*(score[key] for key in names), *score["axis_rms_mm"]]
-    return f"| {name} | " + " | ".join(f"{value:.3f}" for value in cells) + " |"
