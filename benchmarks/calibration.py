@@ -23,8 +23,8 @@ import numpy as np
 
 from benchmarks.errors import body_cost
 from measure.calibration import Capture, calibrate_capture, fit_rig_by_paper, open_capture
+from measure.calibration.board_views import intrinsics_vector
 from measure.calibration.extrinsics import fit_rig_with_boards
-from measure.calibration.lens import intrinsics_vector
 from measure.calibration.procedure import RigCalibration
 from measure.calibration.rig_problem import MarkerObservation, RigObservations, Tolerances
 from measure.geometry import RigidTransform

@@ -8,6 +8,7 @@ import enum
 import importlib
 import inspect
 import re
+import textwrap
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from itertools import pairwise
@@ -74,8 +75,30 @@ def members(described: type) -> Iterator[tuple[str, str, str]]:
 
 
 def attributes(described: type) -> dict[str, str]:
-    """The lines below "Attributes:" of a docstring, by name."""
-    return dict(_entries(_sections(inspect.getdoc(described) or "").get("Attributes", "")))
+    """What is said of fields, by name: below "Attributes:" of the docstring, or in comments."""
+    listed = _entries(_sections(inspect.getdoc(described) or "").get("Attributes", ""))
+    return dict(listed) | _commented(described)
+
+
+def _commented(described: type) -> dict[str, str]:
+    """The comment behind each field of a class, else that above it."""
+    try:
+        lines = textwrap.dedent(inspect.getsource(described)).splitlines()
+    except (OSError, TypeError):
+        return {}
+    (node,) = ast.parse("\n".join(lines)).body
+    out = {}
+    for field in getattr(node, "body", ()):
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+            behind = lines[field.end_lineno - 1][field.end_col_offset :].partition("# ")[2]
+            above: list[str] = []
+            for line in reversed(lines[: field.lineno - 1]):
+                if not line.lstrip().startswith("# "):
+                    break
+                above.insert(0, line.lstrip("# "))
+            if behind or above:
+                out[field.target.id] = f"{(behind or ' '.join(above)).rstrip('.')}."
+    return out
 
 
 def description(package: ModuleType, name: str) -> str:

@@ -156,7 +156,7 @@ def world_by_board(
             camera (cam0.png).
     """
     from measure.calibration import read_board
-    from measure.calibration.board_frame import board_frame
+    from measure.calibration.common_views import board_frame
 
     given, folder = read_calibration(calibration), Path(pictures)
     found = {}

@@ -2,12 +2,11 @@
 
 from measure.calibration.boards import Board, Charuco, Chessboard, Corners
 from measure.calibration.capture import Capture, open_capture
-from measure.calibration.drawing import Sheet, write_sheet
 from measure.calibration.extrinsics import fit_rig
 from measure.calibration.intrinsics import calibrate_lens
 from measure.calibration.markers import find_markers
 from measure.calibration.paper import fit_rig_by_paper
-from measure.calibration.printing import target_sheet
+from measure.calibration.printing import Sheet, target_sheet, write_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
 from measure.calibration.refining import (
     RefinedRig,

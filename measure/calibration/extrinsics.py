@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
+from measure.calibration.board_views import with_covariance
 from measure.calibration.least_squares import Huber, LeastSquaresSolution, solve
-from measure.calibration.lens import with_covariance
 from measure.calibration.rig_problem import (
     CORNERS,
     MARKS,

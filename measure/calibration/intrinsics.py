@@ -8,9 +8,14 @@ from typing import get_args
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.board_views import SingleCameraFit, fit_lens, start_intrinsics
+from measure.calibration.board_views import (
+    MODELS_OF,
+    LensModel,
+    SingleCameraFit,
+    fit_lens,
+    start_intrinsics,
+)
 from measure.calibration.boards import Board, CornerRule, Corners
-from measure.calibration.lens import MODELS_OF, LensModel
 from measure.calibration.views import MIN_VIEWS, ViewSet
 from measure.errors import CalibrationError
 from measure.model import Intrinsics, Projection

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
+from measure.calibration.board_views import free_parameters, with_covariance
 from measure.calibration.extrinsics import MIN_MARK_SD_PX, START_MARK_SD_PX
 from measure.calibration.least_squares import Columns
-from measure.calibration.lens import free_parameters, with_covariance
 from measure.calibration.rig_problem import RigObservations
 from measure.errors import CalibrationError
 from measure.geometry import skew

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from measure.arrays import Floats, Ints
+from measure.calibration.board_views import changed, free_parameters, lens_change
 from measure.calibration.boards import Board, Corners
 from measure.calibration.least_squares import (
     Columns,
@@ -16,7 +17,6 @@ from measure.calibration.least_squares import (
     prior_rows,
     root_information,
 )
-from measure.calibration.lens import changed, free_parameters, lens_change
 from measure.geometry import RigidTransform, skew
 from measure.model import Camera
 

@@ -26,26 +26,16 @@ class Dataset:
     """Rows of (state, position error), each trajectory's rows together and in time order.
 
     Rows without a usable label are kept: they belong to the history of the trajectory.
-
-    Attributes:
-        schema: meaning of the columns of `states`.
-        states: (n, features).
-        times_s: (n,) NaN where not recorded.
-        trajectory: (n,) index into `names`.
-        names: of the trajectories.
-        errors_mm: (n, 3) measured minus reported position; NaN where not measured.
-        covariances: (n, 3, 3) of the label, in mm^2.
-        usable: (n,) whether the label is used for training and scoring.
     """
 
-    schema: StateSchema
-    states: Floats
-    times_s: Floats
-    trajectory: Ints
-    names: tuple[str, ...]
-    errors_mm: Floats
-    covariances: Floats
-    usable: Bools
+    schema: StateSchema  # meaning of the columns of `states`
+    states: Floats  # (n, features)
+    times_s: Floats  # (n,) NaN where not recorded
+    trajectory: Ints  # (n,) index into `names`
+    names: tuple[str, ...]  # of the trajectories
+    errors_mm: Floats  # (n, 3) measured minus reported position; NaN where not measured
+    covariances: Floats  # (n, 3, 3) of the label, in mm^2
+    usable: Bools  # (n,) whether the label is used for training and scoring
 
     def __post_init__(self) -> None:
         rows = len(self.trajectory)

@@ -24,68 +24,45 @@ def quiet(done: float, what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """An estimated position error.
+    """An estimated position error."""
 
-    Attributes:
-        error_mm: (3,) measured minus reported position; add it to the reported position.
-        covariance: (3, 3) in mm^2.
-        unfamiliar: True if the state is unlike anything in training: do not rely on `error_mm`.
-    """
-
-    error_mm: Floats
-    covariance: Floats
+    error_mm: Floats  # (3,) measured minus reported position; add it to the reported position
+    covariance: Floats  # (3, 3) in mm^2
+    # True if the state is unlike anything in training: do not rely on `error_mm`.
     unfamiliar: bool = False
 
 
 @dataclass(frozen=True)
 class Epoch:
-    """One point of a learning curve.
+    """One point of a learning curve."""
 
-    Attributes:
-        epoch: number of passes over the data so far.
-        train_mm: RMS error on the training trajectories, mm.
-        validation_mm: RMS error on the validation trajectories, mm.
-    """
-
-    epoch: int
-    train_mm: float
-    validation_mm: float
+    epoch: int  # number of passes over the data so far
+    train_mm: float  # RMS error on the training trajectories, mm
+    validation_mm: float  # RMS error on the validation trajectories, mm
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What the covariance was fitted to.
+    """What the covariance was fitted to."""
 
-    Attributes:
-        recordings: how many recordings there were to learn from.
-        groups: how many groups of them were left out in turn; 0 if it was fitted to validation
-            trajectories, which says nothing of a new recording where there is one only.
-        before_mm: RMS error of the rows it was fitted to, mm.
-        after_mm: what fits without them left of it, mm.
-    """
-
-    recordings: int
+    recordings: int  # how many recordings there were to learn from
+    # how many groups of them were left out in turn; 0 if it was fitted to validation trajectories,
+    # which says nothing of a new recording where there is one only.
     groups: int
-    before_mm: float
-    after_mm: float
+    before_mm: float  # RMS error of the rows it was fitted to, mm
+    after_mm: float  # what fits without them left of it, mm
 
 
 class Estimator(Plugin):
-    """Corrects a robot's reported position from its own state; history is kept inside.
+    """Corrects a robot's reported position from its own state; history is kept inside."""
 
-    Attributes:
-        curve: how the fit went, if it was iterative.
-        left_out: what its covariance was fitted to, if it tells.
-        folds: largest number of groups of recordings that a fit may leave out in turn to judge its
-            covariance; 0 leaves none out.
-        findings: what the fit found, in lines for the model card.
-        checkpoint: a folder where a fit may keep what it has reached, and find it again.
-    """
-
-    curve: tuple[Epoch, ...] = ()
-    left_out: LeftOut | None = None
+    curve: tuple[Epoch, ...] = ()  # how the fit went, if it was iterative
+    left_out: LeftOut | None = None  # what its covariance was fitted to, if it tells
+    # largest number of groups of recordings that a fit may leave out in turn to judge its
+    # covariance; 0 leaves none out.
     folds: int = 4
-    findings: tuple[str, ...] = ()
+    findings: tuple[str, ...] = ()  # what the fit found, in lines for the model card
+    # a folder where a fit may keep what it has reached, and find it again.
     checkpoint: Path | None = None
 
     def __init__(self, config: Settings) -> None:

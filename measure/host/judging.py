@@ -24,15 +24,10 @@ DOUBTS = 4  # range, distance, travel, spread: what the covariance may grow with
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Zero mean and unit standard deviation; a feature that never varied is scaled to zero.
+    """Zero mean and unit standard deviation; a feature that never varied is scaled to zero."""
 
-    Attributes:
-        mean: (columns,) of the training data.
-        sd: (columns,) standard deviations of the training data.
-    """
-
-    mean: Floats
-    sd: Floats
+    mean: Floats  # (columns,) of the training data
+    sd: Floats  # (columns,) standard deviations of the training data
 
     @classmethod
     def of(cls, values: Floats) -> Scaling:
@@ -93,13 +88,9 @@ class Novelty:
 
 @dataclass(frozen=True, eq=False)
 class Travel:
-    """How far the joints (or the tip) moved lately, in their SDs; long moves leave larger errors.
+    """How far the joints (or the tip) moved lately, in their SDs; long moves leave larger errors."""
 
-    Attributes:
-        reading: (features, joints) from a state to scaled joints.
-    """
-
-    reading: Floats
+    reading: Floats  # (features, joints) from a state to scaled joints
 
     @classmethod
     def of(cls, schema: StateSchema, states: Floats) -> Travel:

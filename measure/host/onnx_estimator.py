@@ -27,19 +27,13 @@ _END = 2**31 - 1  # of a slice: all that follows
 
 @dataclass(frozen=True, eq=False)
 class Core:
-    """Outputs of a plugin's part of the graph.
+    """Outputs of a plugin's part of the graph."""
 
-    Attributes:
-        error: (N, 3) mm.
-        memory: (N, S), the new memory; None if the estimator has none.
-        spread: (N, 1) mm^2, variance within the estimator (of an ensemble, say); None if unknown.
-        memory_size: S.
-    """
-
-    error: Value
-    memory: Value | None = None
+    error: Value  # (N, 3) mm
+    memory: Value | None = None  # (N, S), the new memory; None if the estimator has none
+    # (N, 1) mm^2, variance within the estimator (of an ensemble, say); None if unknown.
     spread: Value | None = None
-    memory_size: int = 0
+    memory_size: int = 0  # S
 
 
 class OnnxEstimator(Estimator):

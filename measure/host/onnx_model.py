@@ -144,17 +144,11 @@ _TICKS = (np.zeros((1, 1), dtype=np.float32), np.ones((1, 1), dtype=np.float32))
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Corrections of n states.
+    """Corrections of n states."""
 
-    Attributes:
-        errors_mm: (n, 3) measured minus reported position.
-        covariances: (n, 3, 3) of the errors, in mm^2.
-        strangeness: (n,) above 1 where the state is unlike the training data.
-    """
-
-    errors_mm: Floats
-    covariances: Floats
-    strangeness: Floats
+    errors_mm: Floats  # (n, 3) measured minus reported position
+    covariances: Floats  # (n, 3, 3) of the errors, in mm^2
+    strangeness: Floats  # (n,) above 1 where the state is unlike the training data
 
 
 class OnnxModel:

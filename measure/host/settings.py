@@ -12,13 +12,10 @@ from measure.errors import ConfigError
 
 
 class Settings(BaseModel):
-    """Base of every plugin's `Config`: frozen; a misspelt field, NaN or infinity is an error.
-
-    Attributes:
-        renamed: names that settings had before, with those they have now, for the message.
-    """
+    """Base of every plugin's `Config`: frozen; a misspelt field, NaN or infinity is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    # names that settings had before, with those they have now, for the message.
     renamed: ClassVar[Mapping[str, str]] = {}
 
 
@@ -36,21 +33,13 @@ def setting(default: Any, description: str, *, unit: str = "", **limits: Any) ->
 
 @dataclass(frozen=True)
 class Setting:
-    """A setting as it is printed.
+    """A setting as it is printed."""
 
-    Attributes:
-        name: of the field.
-        type: such as `float`.
-        default: as text, or "required".
-        unit: as given to `setting`; empty for a bare number or word.
-        description: one sentence.
-    """
-
-    name: str
-    type: str
-    default: str
-    unit: str
-    description: str
+    name: str  # of the field
+    type: str  # such as `float`
+    default: str  # as text, or "required"
+    unit: str  # as given to `setting`; empty for a bare number or word
+    description: str  # one sentence
 
 
 def describe_settings(config: type[Settings]) -> list[Setting]:

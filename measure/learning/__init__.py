@@ -1,14 +1,21 @@
 """From poses and robot states to an estimator of the position error, and its use online."""
 
 from measure.learning import files, sweeping
-from measure.learning.ablation import Importance, ablate, field_groups, single_fields
 from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble
 from measure.learning.clock import estimate_offset
 from measure.learning.datagrams import AnswerPacket, StatePacket, TruePacket
 from measure.learning.guard import Counters, GuardedModel, Refusal
 from measure.learning.offline import correct, correct_file, follower_of, read_states, rezero
 from measure.learning.offsets import DriftMonitor, OffsetFollower, Zeroing, fit_zeroing
-from measure.learning.scores import EstimatorEvaluation, Score, evaluate
+from measure.learning.scores import (
+    EstimatorEvaluation,
+    Importance,
+    Score,
+    ablate,
+    evaluate,
+    field_groups,
+    single_fields,
+)
 from measure.learning.server import EstimateClient, EstimateServer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
 from measure.learning.splits import (

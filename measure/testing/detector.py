@@ -14,16 +14,11 @@ from measure.testing.scenes import CLEAR_VIEW, Example, example
 
 
 class DetectorConformance(PluginConformance):
-    """Tests of a detector, on pictures of a simulated scene.
+    """Tests of a detector, on pictures of a simulated scene."""
 
-    Attributes:
-        plugin: the class under test.
-        camera: name of the camera whose pictures are used.
-        max_error_px: how far a detection may be from the true centre on an easy picture.
-    """
-
-    plugin: ClassVar[type[Detector]]
-    camera: ClassVar[str] = CLEAR_VIEW
+    plugin: ClassVar[type[Detector]]  # the class under test
+    camera: ClassVar[str] = CLEAR_VIEW  # name of the camera whose pictures are used
+    # how far a detection may be from the true centre on an easy picture.
     max_error_px: ClassVar[float] = 4.0
 
     def scene(self, **options: Any) -> Example:

@@ -27,14 +27,10 @@ def training_data() -> Split:
 
 
 class EstimatorConformance(PluginConformance):
-    """Tests of an estimator fitted to two minutes of a simulated robot.
+    """Tests of an estimator fitted to two minutes of a simulated robot."""
 
-    Attributes:
-        plugin: the class under test.
-        max_rms_share: the RMS error that may be left of the reported positions' own.
-    """
-
-    plugin: ClassVar[type[Estimator]]
+    plugin: ClassVar[type[Estimator]]  # the class under test
+    # the RMS error that may be left of the reported positions' own.
     max_rms_share: ClassVar[float] = 0.8
     _fitted: ClassVar[dict[type, Estimator]] = {}
 

@@ -15,19 +15,13 @@ from measure.testing.scenes import example
 
 
 class PoseSolverConformance(PluginConformance):
-    """Tests of a pose solver, on positions and detections of a known scene.
+    """Tests of a pose solver, on positions and detections of a known scene."""
 
-    Attributes:
-        plugin: the class under test.
-        max_error_mm: how far the position may be off, with 0.05 px and 0.05 mm of noise.
-        max_error_deg: how far the rotation may be off then.
-        max_ratio: how many times the variance the mean squared error may be.
-    """
-
-    plugin: ClassVar[type[PoseSolver]]
+    plugin: ClassVar[type[PoseSolver]]  # the class under test
+    # how far the position may be off, with 0.05 px and 0.05 mm of noise.
     max_error_mm: ClassVar[float] = 0.3
-    max_error_deg: ClassVar[float] = 0.5
-    max_ratio: ClassVar[float] = 2.0
+    max_error_deg: ClassVar[float] = 0.5  # how far the rotation may be off then
+    max_ratio: ClassVar[float] = 2.0  # how many times the variance the mean squared error may be
 
     def build(self, body: Body | None = None) -> PoseSolver:
         """A fresh instance."""

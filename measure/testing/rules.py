@@ -20,14 +20,10 @@ UNITS = {"", "px", "mm", "m", "deg", "rad", "s", "ms", "Hz", "%", "votes", "px²
 
 
 class PluginConformance:
-    """Tests of a plugin of any kind; the classes of the kinds build on it.
+    """Tests of a plugin of any kind; the classes of the kinds build on it."""
 
-    Attributes:
-        plugin: the class under test.
-        settings: settings to test it with, where they differ from the defaults.
-    """
-
-    plugin: ClassVar[type[Plugin]]
+    plugin: ClassVar[type[Plugin]]  # the class under test
+    # settings to test it with, where they differ from the defaults.
     settings: ClassVar[Mapping[str, Any]] = {}
 
     @property

@@ -22,17 +22,11 @@ CLEAR_VIEW = "cam2"
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A body seen by four cameras.
+    """A body seen by four cameras."""
 
-    Attributes:
-        scene: what is simulated; its body stands still.
-        world_from_body: the truth.
-        time_s: the instant.
-    """
-
-    scene: Scene
-    world_from_body: RigidTransform
-    time_s: float = 1.25
+    scene: Scene  # what is simulated; its body stands still
+    world_from_body: RigidTransform  # the truth
+    time_s: float = 1.25  # the instant
 
     @property
     def body(self) -> Body:

@@ -15,17 +15,12 @@ from measure.testing.scenes import example
 
 
 class TriangulatorConformance(PluginConformance):
-    """Tests of a triangulator, on exact and on noisy detections of a known scene.
+    """Tests of a triangulator, on exact and on noisy detections of a known scene."""
 
-    Attributes:
-        plugin: the class under test.
-        max_error_mm: how far a position may be from the truth when the detections are exact.
-        max_ratio: how many times the variance the mean squared error may be.
-    """
-
-    plugin: ClassVar[type[Triangulator]]
+    plugin: ClassVar[type[Triangulator]]  # the class under test
+    # how far a position may be from the truth when the detections are exact.
     max_error_mm: ClassVar[float] = 0.01
-    max_ratio: ClassVar[float] = 2.0
+    max_ratio: ClassVar[float] = 2.0  # how many times the variance the mean squared error may be
 
     def build(self) -> Triangulator:
         """A fresh instance."""

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from measure.calibration import Chessboard, Corners, calibrate_lens, choose_views
-from measure.calibration.board_views import fit_lens, start_intrinsics
+from measure.calibration.board_views import (
+    LENS_MODELS,
+    fit_lens,
+    intrinsics_vector,
+    start_intrinsics,
+)
 from measure.calibration.findings import lens_findings
-from measure.calibration.lens import LENS_MODELS, intrinsics_vector
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform

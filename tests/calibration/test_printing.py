@@ -14,7 +14,7 @@ import pytest
 from measure.api import draw_target, shipped_targets
 from measure.arrays import Bytes
 from measure.calibration import read_board
-from measure.calibration.drawing import BAR_MM, Sheet
+from measure.calibration.printing import BAR_MM, Sheet
 from measure.calibration.targets import read_markers
 from measure.errors import CalibrationError, ConfigError
 from measure.session import read_body

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from measure.calibration import Board, Capture, Chessboard, Corners, MarkerField
-from measure.calibration.board_views import fit_lens
+from measure.calibration.board_views import LENS_MODELS, fit_lens
 from measure.calibration.capture import CameraCapture, CaptureTable
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.lens import LENS_MODELS
 from measure.calibration.rig_problem import BoardObservation
 from measure.calibration.starts import oriented_board
 from measure.calibration.views import ViewSet

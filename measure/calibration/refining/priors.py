@@ -18,8 +18,8 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints
+from measure.calibration.board_views import lens_change
 from measure.calibration.least_squares import root_information
-from measure.calibration.lens import lens_change
 from measure.calibration.refining.recording import Track
 from measure.model import Camera
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.calibration import least_squares
-from measure.calibration.lens import changed, free_parameters
+from measure.calibration.board_views import changed, free_parameters
 from measure.calibration.refining.priors import CameraPrior, NoiseModel
 from measure.calibration.refining.recording import BallMotion, Recording
 from measure.geometry import RigidTransform, skew

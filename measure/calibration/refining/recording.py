@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.calibration.lens import stack
+from measure.calibration.board_views import stack
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement

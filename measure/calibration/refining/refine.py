@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
+from measure.calibration.board_views import with_covariance
 from measure.calibration.least_squares import LeastSquaresSolution
-from measure.calibration.lens import with_covariance
 from measure.calibration.refining.priors import (
     USUAL_POSITION_MM,
     CameraPrior,
