@@ -198,7 +198,10 @@ def board_frame(
             f"{same_after(board)}, and a frame cannot be told from it: take a ChArUco board, or "
             "one with an odd and an even number of inner corners"
         )
-    looked = [(c, _corners(board, pictures[c.name], c.name)) for c in cameras if c.name in pictures]
+    grays = {
+        n: np.asarray(cv2.cvtColor(p, cv2.COLOR_BGR2GRAY), np.uint8) for n, p in pictures.items()
+    }
+    looked = [(c, board.find(grays[c.name], c.name)) for c in cameras if c.name in grays]
     views = [(camera, corners) for camera, corners in looked if corners is not None]
     if not views:
         raise CalibrationError(f"no board found in any of {len(pictures)} pictures")
@@ -213,12 +216,13 @@ def board_frame(
     return UncertainTransform(pose @ _UP_FROM_BOARD.inverse(), _covariance(board, views, pose))
 
 
-def _corners(board: Board, bgr: Bytes, name: str) -> Corners | None:
-    return board.find(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8), name)
-
-
 def _fit(board: Board, views: Sequence[_View]) -> RigidTransform:
-    start = min((_by_one(board, *view) for view in views), key=lambda p: _cost(board, views, p))
+    by_one = (
+        camera.world_from_camera
+        @ board_pose(camera.intrinsics, board.points[seen.ids], seen.pixels)
+        for camera, seen in views
+    )
+    start = min(by_one, key=lambda pose: np.sum(np.abs(_residuals(board, views, pose))))
 
     def residuals(delta: Floats) -> Floats:
         return _residuals(board, views, start.perturb(delta))
@@ -228,18 +232,9 @@ def _fit(board: Board, views: Sequence[_View]) -> RigidTransform:
     return start.perturb(solved.x)
 
 
-def _by_one(board: Board, camera: Camera, seen: Corners) -> RigidTransform:
-    pose = board_pose(camera.intrinsics, board.points[seen.ids], seen.pixels)
-    return camera.world_from_camera @ pose
-
-
 def _residuals(board: Board, views: Sequence[_View], pose: RigidTransform) -> Floats:
     parts = [c.project(pose.apply(board.points[v.ids])) - v.pixels for c, v in views]
     return np.nan_to_num(np.concatenate(parts).ravel(), nan=1e3)
-
-
-def _cost(board: Board, views: Sequence[_View], pose: RigidTransform) -> float:
-    return float(np.sum(np.abs(_residuals(board, views, pose))))
 
 
 def _covariance(board: Board, views: Sequence[_View], pose: RigidTransform) -> Floats:

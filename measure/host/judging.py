@@ -88,7 +88,7 @@ class Novelty:
 
 @dataclass(frozen=True, eq=False)
 class Travel:
-    """How far the joints (or the tip) moved lately, in their SDs; long moves leave larger errors."""
+    """How far joints (or the tip) moved lately, in their SDs; long moves leave larger errors."""
 
     reading: Floats  # (features, joints) from a state to scaled joints
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -84,13 +85,12 @@ def sweep_state(study: Any) -> SweepState:
         len(done),
         sum(t.state == states.FAIL for t in trials),
         sum(t.state == states.RUNNING for t in trials),
-        tuple((float(t.value), _chosen(t.params)) for t in best),
+        # A choice is kept as JSON, for a list cannot be one of optuna's.
+        tuple(
+            (t.value, {k: json.loads(v) if isinstance(v, str) else v for k, v in t.params.items()})
+            for t in best
+        ),
     )
-
-
-def _chosen(params: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters as settings: a choice is kept as JSON, for a list cannot be one of optuna's."""
-    return {k: json.loads(v) if isinstance(v, str) else v for k, v in params.items()}
 
 
 def open_study(journal: Path, identity: str) -> Any:
@@ -313,12 +313,8 @@ def sweep(
         if scheduler:
             _on_cluster(study, job, space, scheduler, trials - state.finished)
         else:
-            _one(study, job, space)
-
-
-def _one(study: Any, job: SweepJob, space: Mapping[str, Range]) -> None:
-    trial, settings = ask(study, space)
-    finish(study, trial, lambda: run_trial(job, settings))
+            trial, settings = ask(study, space)
+            finish(study, trial, partial(run_trial, job, settings))
 
 
 def _on_cluster(

@@ -68,7 +68,10 @@ def may_be_confused(one: Body, other: Body) -> bool:
 def _same_color(one: Ball, other: Ball) -> bool:
     """Whether each hue's range holds the middle of the other; of red and orange neither does."""
     return any(
-        a.space == b.space and _hue_inside(a, b) and _hue_inside(b, a) and _levels_overlap(a, b)
+        a.space == b.space
+        and _hue_inside(a, b)
+        and _hue_inside(b, a)
+        and all(max(a.low[i], b.low[i]) <= min(a.high[i], b.high[i]) for i in (1, 2))
         for a in one.color.ranges
         for b in other.color.ranges
     )
@@ -81,10 +84,6 @@ def _hue_inside(box: ColorRange, other: ColorRange) -> bool:
     if other.low[0] > other.high[0]:
         middle = (middle + _HUES // 2) % _HUES
     return low <= middle <= high if low <= high else not high < middle < low
-
-
-def _levels_overlap(a: ColorRange, b: ColorRange) -> bool:
-    return all(max(a.low[i], b.low[i]) <= min(a.high[i], b.high[i]) for i in (1, 2))
 
 
 _FARTHEST_BASES = 20.0

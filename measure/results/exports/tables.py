@@ -152,13 +152,10 @@ def write_trc(runs: Sequence[Run], path: Path) -> None:
         "",
     ]
     for k in range(count):
-        cells = "\t".join(_cells(markers.points_mm[k]))
+        places = markers.points_mm[k].reshape(-1)
+        cells = "\t".join(f"{v:.6f}" if np.isfinite(v) else "" for v in places)
         lines.append(f"{k + 1}\t{markers.times_s[k]:.9f}\t{cells}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _cells(points: Floats) -> list[str]:
-    return [f"{v:.6f}" if np.isfinite(v) else "" for v in points.reshape(-1)]
 
 
 def write_c3d(runs: Sequence[Run], path: Path) -> None:

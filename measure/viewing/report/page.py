@@ -52,7 +52,10 @@ class Page:
     ) -> None:
         """A section with one table; floats get four significant digits."""
         kept = [list(row) for row in rows]
-        texts = [any(_is_long(row[n]) for row in kept) for n in range(len(columns))]
+        texts = [
+            any(isinstance(row[n], str) and len(str(row[n])) > _LONG for row in kept)
+            for n in range(len(columns))
+        ]
         head = "".join(
             f"<th{_words(long)}>{html.escape(column)}</th>"
             for column, long in zip(columns, texts, strict=True)
@@ -105,10 +108,6 @@ def _cell(value: object, is_text: bool) -> str:
     if isinstance(value, float):
         return f"<td>{'–' if value != value else f'{value:.4g}'}</td>"
     return f"<td{_words(is_text)}>{html.escape(str(value))}</td>"
-
-
-def _is_long(value: object) -> bool:
-    return isinstance(value, str) and len(value) > _LONG
 
 
 def _words(is_text: bool) -> str:
