@@ -1,14 +1,17 @@
-"""Long work: other processes that share it, and how much of it is done."""
+"""Worker processes, the progress of long work, and clusters to hand it to."""
 
 from __future__ import annotations
 
 import ctypes
 import multiprocessing
 import os
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from threading import Thread
-from typing import Protocol
+from typing import Any, Protocol
+
+from measure.errors import ConfigError
 
 _M_ARENA_MAX = -8  # Of glibc's malloc.h
 _HEAPS = 2
@@ -55,3 +58,38 @@ def share_heaps() -> None:
     """
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, _HEAPS)
+
+
+_CONNECT_S = 10.0
+
+
+@contextmanager
+def connected(address: str, option: str) -> Iterator[tuple[Any, Any]]:
+    """A client of a scheduler, and the module `distributed`.
+
+    Args:
+        address: of the scheduler.
+        option: of the command line that gave it, for messages.
+
+    Raises:
+        ConfigError: the extra is missing, no scheduler answers, or it has no workers.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise ConfigError(
+            f"{option} needs dask.distributed: pip install 'triball[cluster]'"
+        ) from None
+    if "://" not in address:
+        raise ConfigError(f"{option} {address}: expected a scheduler's address, tcp://HOST:PORT")
+    try:
+        client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"{option} {address}: no scheduler answers there ({reason})") from error
+    try:
+        if not client.scheduler_info().get("workers"):
+            raise ConfigError(f"{option} {address}: the scheduler has no workers; start some")
+        yield client, distributed
+    finally:
+        client.close()

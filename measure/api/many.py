@@ -17,9 +17,8 @@ from measure.api.run import RunOptions, run
 from measure.api.warming_up import warm_pipeline
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
-from measure.host.cluster import connected
 from measure.measuring import Profile
-from measure.processes import Progress, processes, usable_cores
+from measure.processes import Progress, connected, processes, usable_cores
 from measure.results import Summary
 
 _ATTEMPTS = 3

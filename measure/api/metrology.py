@@ -15,7 +15,7 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, UncertainTransform
 from measure.measuring import Measurement
-from measure.metrology.pivot import Pivot, SpinAxis, find_spin_axis, find_tip
+from measure.metrology.lengths import Pivot, SpinAxis, find_spin_axis, find_tip
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import SHORTEST_S, Rests, find_rests
 from measure.model import Body, Camera, Pose

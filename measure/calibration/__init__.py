@@ -2,10 +2,9 @@
 
 from measure.calibration.boards import Board, Charuco, Chessboard, Corners
 from measure.calibration.capture import Capture, open_capture
-from measure.calibration.extrinsics import fit_rig
+from measure.calibration.extrinsics import fit_rig, fit_rig_by_paper
 from measure.calibration.intrinsics import calibrate_lens
 from measure.calibration.markers import find_markers
-from measure.calibration.paper import fit_rig_by_paper
 from measure.calibration.printing import Sheet, target_sheet, write_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
 from measure.calibration.refining import (

@@ -1,10 +1,19 @@
-"""Where the cameras stand: all of them at once, from board corners and markers together.
+"""Where the cameras stand: all of them at once, or one by one as the paper has it.
 
-Least squares over every camera's pose and lens, the marker positions and the board poses. What is
-known beforehand enters with its uncertainty: the lens with the covariance of its own fit, a marker
-with the tolerance of its post, a board with the tolerance of its holder. Corners and marks are
-weighted by standard deviations estimated from the residuals (variance components), and Huber's loss
-bounds the influence of single wrong marks.
+All at once: least squares over every camera's pose and lens, the marker positions and the board
+poses. What is known beforehand enters with its uncertainty: the lens with the covariance of its own
+fit, a marker with the tolerance of its post, a board with the tolerance of its holder. Corners and
+marks are weighted by standard deviations estimated from the residuals (variance components), and
+Huber's loss bounds the influence of single wrong marks.
+
+One by one, equation 3: the board gives a rough pose, the markers refine it. The vector from the
+camera to a marker, v_c2m, and the vector from the marker's image to the camera, v_i2c, must be
+parallel. The paper writes v_c2m(k) / v_i2c(k) = |v_c2m| / |v_i2c| for k = 1, 2, 3; multiplied out,
+because a quotient has no value where a component is zero, and divided by both lengths, that is
+v_c2m / |v_c2m| - v_i2c / |v_i2c| = 0: three equations a marker, six unknowns a camera, solved by
+Levenberg and Marquardt. The paper gives no errors. Here those of marks, lenses and marker places
+travel through the equations (implicit differentiation of their optimum) into one covariance of all
+cameras; the standard deviation of the marks comes from their residuals, pooled over the cameras.
 """
 
 from __future__ import annotations
@@ -15,8 +24,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
-from measure.calibration.board_views import with_covariance
-from measure.calibration.least_squares import Huber, LeastSquaresSolution, solve
+from measure.calibration.board_views import free_parameters, with_covariance
+from measure.calibration.least_squares import Columns, Huber, LeastSquaresSolution, solve
 from measure.calibration.rig_problem import (
     CORNERS,
     MARKS,
@@ -28,6 +37,8 @@ from measure.calibration.rig_problem import (
     Tolerances,
     lay_out,
 )
+from measure.errors import CalibrationError
+from measure.geometry import skew
 from measure.model import Camera
 
 _HUBER = Huber(3.0)
@@ -227,3 +238,130 @@ def _likeliest(
             break
     assert best is not None
     return best
+
+
+@dataclass(frozen=True, eq=False)
+class PaperFit:
+    """Cameras located by equation 3."""
+
+    cameras: tuple[Camera, ...]  # with the covariances of their poses
+    # of all cameras' poses and free lens parameters together, camera after camera.
+    covariance: Floats
+    # by camera name, which rows of `covariance` are its pose (6) and lens parameters.
+    columns: dict[str, Ints]
+    mark_sd_px: float  # as stated, or estimated from the residuals
+
+
+def fit_rig_by_paper(
+    start: tuple[Camera, ...], observations: RigObservations, mark_sd_px: float | None = None
+) -> PaperFit:
+    """Every camera by itself, from three markers or more, beginning at its rough pose."""
+    cameras, squares, freedom = [], 0.0, 0.0
+    for camera in start:
+        located, residuals = _located(camera, observations)
+        cameras.append(located)
+        worth = located.intrinsics.focal_px / np.linalg.norm(
+            observations.markers[observations.marks[camera.name].ids] - located.center, axis=1
+        )
+        # The variance of the marker places is in the residuals too, but is not the marks'.
+        by_places = 2 * float(np.sum((worth * observations.tolerances.marker_mm) ** 2))
+        share = max(1 - 6 / residuals.size, 0)
+        squares += max(float(np.sum(residuals**2)) - by_places * share, 0)
+        freedom += residuals.size - 6
+    sd = mark_sd_px or START_MARK_SD_PX
+    if mark_sd_px is None and freedom > 0:
+        sd = max(float(np.sqrt(squares / freedom)), MIN_MARK_SD_PX)
+    return _with_covariances(tuple(cameras), observations, sd)
+
+
+def _located(start: Camera, observations: RigObservations) -> tuple[Camera, Floats]:
+    """A camera by equation 3, and the residuals (n, 2) px of its marks."""
+    marks = observations.marks.get(start.name)
+    if marks is None:
+        raise CalibrationError(
+            f"camera {start.name}: the paper's method needs its markers: give marks.csv or "
+            "marker_image"
+        )
+    if len(marks.ids) < 3:
+        raise CalibrationError(
+            f"camera {start.name}: the paper's equation 3 needs 3 markers, got {len(marks.ids)}"
+        )
+    points = observations.markers[marks.ids]
+    located = _solve_equation_3(start, points, marks.pixels)
+    error = marks.pixels - located.project(points)
+    return replace(located, reprojection_rms_px=rms_length(error)), error
+
+
+def _solve_equation_3(start: Camera, points: Floats, pixels: Floats) -> Camera:
+    from scipy.optimize import least_squares
+
+    bearings = start.intrinsics.unproject(pixels)
+
+    def equation_3(unknowns: Floats) -> Floats:
+        pose = start.world_from_camera.perturb(unknowns)
+        c2m = points - pose.translation
+        i2c = pose.rotate(bearings)
+        return np.ravel(c2m / np.linalg.norm(c2m, axis=1, keepdims=True) - i2c)
+
+    found = least_squares(
+        equation_3, np.zeros(6), method="lm", x_scale=np.repeat([100.0, 0.1], 3), xtol=1e-12
+    )
+    if not found.success:
+        raise CalibrationError(f"camera {start.name}: equation 3 has no optimum: {found.message}")
+    return replace(start, world_from_camera=start.world_from_camera.perturb(found.x))
+
+
+def _sensitivity(camera: Camera, points: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
+    """How a camera's pose follows marks (6, 2n), lens (6, 12) and its markers (6, 3n)."""
+    turn = camera.world_from_camera.rotation
+    bearings = camera.intrinsics.unproject(pixels)
+    _, by_bearing, pixel_by_lens = camera.intrinsics.project_with_jacobians(bearings)
+    by_pixel = turn @ np.linalg.pinv(by_bearing)  # of R b, (n, 3, 2)
+    c2m = points - camera.center
+    length = np.linalg.norm(c2m, axis=1)[:, None, None]
+    unit = c2m[:, :, None] / length
+    by_marker = (np.eye(3) - unit @ np.swapaxes(unit, 1, 2)) / length
+    J = np.concatenate([-by_marker, skew(bearings @ turn.T)], axis=2).reshape(-1, 6)
+    gain = -np.linalg.pinv(J).reshape(6, len(points), 3)
+    return (
+        -np.einsum("ink,nkj->inj", gain, by_pixel).reshape(6, -1),
+        np.einsum("ink,nkj,njl->il", gain, by_pixel, pixel_by_lens),
+        np.einsum("ink,nkj->inj", gain, by_marker).reshape(6, -1),
+    )
+
+
+def _with_covariances(
+    cameras: tuple[Camera, ...], observations: RigObservations, sd_px: float
+) -> PaperFit:
+    """Marks and lenses are each camera's own; the places of the markers are common to all."""
+    columns, take = dict[str, Ints](), Columns()
+    own: list[Floats] = []
+    common: list[Floats] = []
+    for camera in cameras:
+        marks = observations.marks[camera.name]
+        by_marks, by_lens, by_markers = _sensitivity(
+            camera, observations.markers[marks.ids], marks.pixels
+        )
+        C = camera.intrinsics.covariance
+        C = np.zeros((12, 12)) if C is None else C
+        free = free_parameters(camera)
+        # Rows: pose, then the lens parameters themselves, which the poses follow.
+        gain = np.concatenate([by_lens, np.eye(12)[free]])
+        block = gain @ C @ gain.T
+        block[:6, :6] += sd_px**2 * by_marks @ by_marks.T
+        own.append(block)
+        shift = np.zeros((len(block), observations.markers.size))
+        of_marker = (3 * marks.ids[:, None] + np.arange(3)).reshape(-1)
+        shift[:6, of_marker] = by_markers * observations.tolerances.marker_mm
+        common.append(shift)
+        columns[camera.name] = take(len(block))
+    shifts = np.concatenate(common)
+    covariance = shifts @ shifts.T
+    for camera, block in zip(cameras, own, strict=True):
+        covariance[np.ix_(columns[camera.name], columns[camera.name])] += block
+    located = []
+    for camera in cameras:
+        P = covariance[np.ix_(columns[camera.name], columns[camera.name])]
+        rms_px = camera.reprojection_rms_px
+        located.append(with_covariance(camera, P, free_parameters(camera), rms_px))
+    return PaperFit(tuple(located), covariance, columns, sd_px)

@@ -14,13 +14,14 @@ from measure.calibration.capture import CameraCapture, Capture, CaptureTable
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.extrinsics import (
     DEFAULT_COMMON_PX,
+    PaperFit,
     RigFit,
+    fit_rig_by_paper,
     fit_rig_with_boards,
     held_within,
 )
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.markers import FoundMarkers
-from measure.calibration.paper import PaperFit, fit_rig_by_paper
 from measure.calibration.rig_problem import (
     BoardObservation,
     MarkerObservation,

@@ -17,7 +17,7 @@ from measure.geometry import RigidTransform, chi_square_quantile, propagate, ske
 from measure.geometry.covariance import squared_mahalanobis
 from measure.metrology.poses import PoseTable, SharedErrors, independent_count
 from measure.robots import SerialChain
-from measure.robots.links import LinkEffects, link_jacobian, usual_sd, with_link_errors
+from measure.robots.chain import LinkEffects, link_jacobian, usual_sd, with_link_errors
 
 FRAMES = 12
 """Parameters of both frames: world_from_base, then body_from_flange, each as `perturb` has them."""

@@ -18,7 +18,7 @@ from measure.learning.frames import RobotFrame
 from measure.learning.labels import chain_doubt
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.robots import SerialChain, StateLog
-from measure.robots.links import TURNS, link_names
+from measure.robots.chain import TURNS, link_names
 
 _LEAST_POSES, _LEAST_S = 30, 15.0
 _LEAST_TURN_DEG = 15.0  # about a second axis: turns about one alone leave a shift along it open

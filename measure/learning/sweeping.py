@@ -17,11 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model
 
 from measure.errors import DivergedError, EstimatorError, FitError
 from measure.host import Registry, Report
-from measure.host.cluster import connected
 from measure.learning.files import read_dataset
 from measure.learning.fitting import fit
 from measure.learning.scores import corrected_rms_mm
 from measure.learning.splits import split_by_trajectory
+from measure.processes import connected
 from measure.reading import MAX_TEXT_BYTES, read_bytes
 from measure.session import load_toml
 

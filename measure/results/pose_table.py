@@ -11,10 +11,9 @@ import pyarrow as pa
 from measure.arrays import Floats, Ints
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
-from measure.metrology.noise import Noise, noise_of
+from measure.metrology.noise import Noise, SmoothMotion, noise_of, smooth_motion
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import SHORTEST_S, Rests, find_rests
-from measure.metrology.smoothing import SmoothMotion, smooth_motion
 from measure.results.run import Run
 from measure.results.tables import PLACE, matrices, numbers
 

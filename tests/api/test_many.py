@@ -90,7 +90,7 @@ def test_two_recordings_of_one_name_are_refused(tmp_path):
 
 
 def test_no_scheduler_is_said_in_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr("measure.host.cluster._CONNECT_S", 0.3)
+    monkeypatch.setattr("measure.processes._CONNECT_S", 0.3)
     with pytest.raises(ConfigError, match=r"--cluster tcp://127\.0\.0\.1:9: no scheduler"):
         measure([tmp_path / "x"], tmp_path, cluster="tcp://127.0.0.1:9")
     with pytest.raises(ConfigError, match=r"--cluster nonsense: expected .* tcp://HOST:PORT"):

@@ -188,7 +188,7 @@ def test_a_scheduler_that_is_not_there_is_named(
 ) -> None:
     pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
     pytest.importorskip("distributed", reason="a scheduler needs the extra 'cluster'")
-    monkeypatch.setattr("measure.host.cluster._CONNECT_S", 0.3)
+    monkeypatch.setattr("measure.processes._CONNECT_S", 0.3)
     space = tmp_path / "space.toml"
     space.write_text(SPACE)
     words = ["sweep", str(data), str(space), "--journal", str(tmp_path / "journal.log")]

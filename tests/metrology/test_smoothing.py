@@ -10,8 +10,8 @@ import pytest
 
 from measure.cli import main
 from measure.geometry import RigidTransform
+from measure.metrology.noise import smooth_motion
 from measure.metrology.poses import PoseTable, SharedErrors
-from measure.metrology.smoothing import smooth_motion
 from measure.simulation import random_motion
 from tests.metrology.recordings import Errors, poses_of, write_run
 from tests.results.conftest import BODY

@@ -10,16 +10,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from measure.arrays import Floats, Ints
+from measure.geometry import RigidTransform
+from measure.metrology.noise import Noise
 from measure.results import Run, Summary
 from measure.results.accuracy import accuracy_map
+from measure.results.pose_table import noise_about, noise_at_rest, poses_of
 from measure.results.summary import WHICH_ACCURACY
 from measure.results.tables import texts
 from measure.session import dump_toml
-from measure.viewing.report import figures, motion, places
+from measure.viewing.report import figures, places
 from measure.viewing.report.page import Page
 from measure.viewing.report.verdict import verdict
 
@@ -50,8 +54,8 @@ def run_report(
             _add_errors(page, run, off)
         if run.has_pose.any():
             _add_poses(page, run)
-            motion.add_motion(page, run, since_start(run))
-            motion.add_noise(page, run, off)
+            add_motion(page, run, since_start(run))
+            add_noise(page, run, off)
             _add_accuracy(page, run)
         if run.detections.num_rows:
             _add_views(page, run)
@@ -306,3 +310,68 @@ def _without_folders(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_without_folders(one) for one in value]
     return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
+
+
+def add_motion(page: Page, run: Run, since_start_s: Floats) -> None:
+    """Rotation and speed over time, of the unflagged poses; gaps where there is none."""
+    turned, speed, spin = _motion(run)
+    drawn = zip("xyz", turned.T, strict=True)
+    page.figures(
+        "Rotation and speed",
+        "Rotation from the first unflagged pose, as a rotation vector along the world's axes; "
+        "speeds from the pose before to the pose after. Gaps are as in the position.",
+        figures.over_time(since_start_s, dict(drawn), "rotation [deg]", figures.AXIS_COLORS),
+        figures.over_time(since_start_s, {"speed": speed}, "speed [mm/s]"),
+        figures.over_time(since_start_s, {"rotation": spin}, "angular speed [deg/s]"),
+    )
+
+
+def _motion(run: Run) -> tuple[Floats, Floats, Floats]:
+    """Rotation vectors (n, 3) deg from the first unflagged pose, speeds (n,) mm/s and deg/s."""
+    n, rows = run.poses.num_rows, np.flatnonzero(run.unflagged)
+    place, turn = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+    poses = poses_of(run).world_from_body
+    place[rows], turn[rows] = poses.translation, poses.rotation
+    turned, speed, spin = np.full((n, 3), np.nan), np.full(n, np.nan), np.full(n, np.nan)
+    if not len(rows):
+        return turned, speed, spin
+    turned[rows] = np.degrees((poses @ poses[0].inverse()).rotvec)
+    middle = rows[(rows > 0) & (rows < n - 1)]
+    middle = middle[np.isfinite(place[middle - 1, 0]) & np.isfinite(place[middle + 1, 0])]
+    before, after = (RigidTransform(turn[k], place[k]) for k in (middle - 1, middle + 1))
+    moved = after.difference(before)
+    seconds = run.times_s[middle + 1] - run.times_s[middle - 1]
+    speed[middle] = np.linalg.norm(moved[:, :3], axis=1) / seconds
+    spin[middle] = np.degrees(np.linalg.norm(moved[:, 3:], axis=1)) / seconds
+    return turned, speed, spin
+
+
+def add_noise(page: Page, run: Run, errors: Floats | None) -> None:
+    """Noise and drift about the truth by errors (n, 6), else at rest; nothing without either."""
+    found = noise_at_rest(run) if errors is None else noise_about(run, errors)
+    if found is None:
+        return
+    page.table(
+        "Noise and drift",
+        f"Of the unflagged poses about {found.about}, 3-D. What all poses err by alike is no "
+        "noise: it does not show here.",
+        ("", "position mm", "rotation deg"),
+        found.rows(),
+    )
+    page.figures(
+        "What averaging gains",
+        "Allan deviation: by how much means of so many seconds scatter; where it rises again, "
+        "poses drift. Root of the spectral density: at which frequencies they scatter.",
+        *_noise_figures(found),
+    )
+
+
+def _noise_figures(found: Noise) -> list[go.Figure]:
+    names = ("position [mm]", "rotation [deg]")
+    mean = dict(zip(names, found.allan.T, strict=True))
+    drawn = [figures.log_log(found.averaging_s, mean, "averaged over [s]", "Allan deviation")]
+    if len(found.frequency_hz):
+        density = dict(zip(names, found.density.T, strict=True))
+        label = "density [per root Hz]"
+        drawn.append(figures.log_log(found.frequency_hz, density, "frequency [Hz]", label))
+    return drawn

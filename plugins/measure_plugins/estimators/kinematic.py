@@ -14,7 +14,7 @@ from measure import host
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.robots import SerialChain
-from measure.robots.links import (
+from measure.robots.chain import (
     TURNS,
     LinkEffects,
     link_jacobian,
