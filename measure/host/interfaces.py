@@ -19,15 +19,10 @@ NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 
 class Plugin(ABC):
-    """Base of all kinds of plugins.
+    """Base of all kinds of plugins."""
 
-    Attributes:
-        name: how a user selects it; lower case, words joined by "-".
-        Config: its settings, a frozen pydantic model.
-    """
-
-    name: ClassVar[str]
-    Config: ClassVar[type[Settings]] = Settings
+    name: ClassVar[str]  # how a user selects it; lower case, words joined by "-"
+    Config: ClassVar[type[Settings]] = Settings  # its settings, a frozen pydantic model
 
     def warm_up(self) -> None:  # noqa: B027 - most plugins have nothing to do here
         """Compile or load what is slow, before the first frame is timed or waited for."""
@@ -37,16 +32,13 @@ class Detector(Plugin):
     """Finds the balls of a body in one camera's images.
 
     What it finds in an image depends on that image alone, unless the class says `stateful`.
-
-    Attributes:
-        stateful: whether results depend on the images seen before. Images then come in order of
-            time and each once. A detector that keeps no state may be shown earlier images again,
-            the latest first.
-        provides_outlines: whether its detections hold outlines (`Detection.outline_px`); None if
-            that depends on the images, and is found out from the first ones.
     """
 
+    # whether results depend on the images seen before. Images then come in order of time and each
+    # once. A detector that keeps no state may be shown earlier images again, the latest first.
     stateful: ClassVar[bool] = False
+    # whether its detections hold outlines (`Detection.outline_px`); None if that depends on the
+    # images, and is found out from the first ones.
     provides_outlines: ClassVar[bool | None] = None
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:

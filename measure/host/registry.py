@@ -27,15 +27,10 @@ from measure.model import Body, Camera
 
 @dataclass(frozen=True)
 class Distribution:
-    """What a user installed.
+    """What a user installed."""
 
-    Attributes:
-        name: as pip knows it.
-        version: as pip knows it.
-    """
-
-    name: str
-    version: str
+    name: str  # as pip knows it
+    version: str  # as pip knows it
 
     def __str__(self) -> str:
         return f"{self.name} {self.version}"
@@ -43,34 +38,21 @@ class Distribution:
 
 @dataclass(frozen=True)
 class Loaded:
-    """A plugin that can be used.
+    """A plugin that can be used."""
 
-    Attributes:
-        kind: "detector", "triangulator", "solver", "estimator" or "sink".
-        name: the class's `name`.
-        distribution: the installed distribution that it came in.
-        plugin: the class.
-    """
-
-    kind: str
-    name: str
-    distribution: Distribution
-    plugin: type[Plugin]
+    kind: str  # "detector", "triangulator", "solver", "estimator" or "sink"
+    name: str  # the class's `name`
+    distribution: Distribution  # the installed distribution that it came in
+    plugin: type[Plugin]  # the class
 
 
 @dataclass(frozen=True)
 class Broken:
-    """An entry point that cannot be used.
+    """An entry point that cannot be used."""
 
-    Attributes:
-        name: of the entry point.
-        distribution: the installed distribution that declares it.
-        error: why, in one line.
-    """
-
-    name: str
-    distribution: Distribution
-    error: str
+    name: str  # of the entry point
+    distribution: Distribution  # the installed distribution that declares it
+    error: str  # why, in one line
 
 
 def discover(disabled: Collection[str] = ()) -> list[Loaded | Broken]:

@@ -18,29 +18,19 @@ from measure.model.pose_columns import pose_columns
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SentPose:
-    """A body's pose of one frame set as a sink gets it, or that there is none.
+    """A body's pose of one frame set as a sink gets it, or that there is none."""
 
-    Attributes:
-        body: the body's name.
-        reference: name of the body whose frame the pose is in; empty for the world.
-        frame: number of the frame set.
-        time_s: the instant that the pose holds for, on the run's clock.
-        exposed_s: the same instant in seconds since 1970, on this machine's clock; of a run that is
-            played, the time of its turn.
-        known_s: when the pose was known, in seconds since 1970.
-        status: ok, flagged, lost or skipped.
-        reason: why it is not ok; empty otherwise.
-        pose: the pose; its `world_from_body` is reference_from_body where there is a reference.
-    """
-
-    body: str
-    reference: str
-    frame: int
-    time_s: float
+    body: str  # the body's name
+    reference: str  # name of the body whose frame the pose is in; empty for the world
+    frame: int  # number of the frame set
+    time_s: float  # the instant that the pose holds for, on the run's clock
+    # the same instant in seconds since 1970, on this machine's clock; of a run that is played, the
+    # time of its turn.
     exposed_s: float
-    known_s: float
-    status: str
-    reason: str
+    known_s: float  # when the pose was known, in seconds since 1970
+    status: str  # ok, flagged, lost or skipped
+    reason: str  # why it is not ok; empty otherwise
+    # the pose; its `world_from_body` is reference_from_body where there is a reference.
     pose: Pose | None
 
     def plain(self) -> dict[str, Any]:
@@ -53,33 +43,21 @@ class SentPose:
 
 @dataclass(frozen=True, slots=True)
 class EventMark:
-    """An event that the lab told of while a run was measured.
+    """An event that the lab told of while a run was measured."""
 
-    Attributes:
-        time_s: when, on the run's clock.
-        marked_s: the same in seconds since 1970, as `SentPose.exposed_s`.
-        text: what.
-    """
-
-    time_s: float
-    marked_s: float
-    text: str
+    time_s: float  # when, on the run's clock
+    marked_s: float  # the same in seconds since 1970, as `SentPose.exposed_s`
+    text: str  # what
 
 
 @dataclass(frozen=True, eq=False)
 class SentRun:
-    """The run that poses are sent of.
+    """The run that poses are sent of."""
 
-    Attributes:
-        name: of the run.
-        bodies: what is measured.
-        cameras: as calibrated.
-        reference: name of the body that the others are also sent relative to; empty without one.
-    """
-
-    name: str
-    bodies: tuple[Body, ...]
-    cameras: tuple[Camera, ...]
+    name: str  # of the run
+    bodies: tuple[Body, ...]  # what is measured
+    cameras: tuple[Camera, ...]  # as calibrated
+    # name of the body that the others are also sent relative to; empty without one.
     reference: str = ""
 
     @property

@@ -11,23 +11,7 @@ Stage = Literal["detector", "triangulator", "solver", "tracking"]
 
 
 class Profile(BaseModel):
-    """A named choice of stages; `measure/profiles/*.toml` hold those that come with the program.
-
-    Attributes:
-        name: how a user selects it.
-        detector: name of the detector plugin.
-        triangulator: name of the triangulator plugin.
-        solver: name of the pose-solver plugin.
-        tracking: "frame-update" (the paper's section II.D), "predictive" or "memoryless".
-        per_image_timestamps: whether each image counts at its own time (else all images of a frame
-            set count at one instant).
-        smoothing: whether poses wait for later ones: each is solved again with the motion of a
-            spline through the poses before and after it, and a body just found is tracked back
-            through the frame sets in which it was not found.
-        remeasure_after_search: whether, after a search of whole frames, the balls are measured once
-            more.
-        settings: by stage name, the settings that differ from the defaults.
-    """
+    """A named choice of stages; `measure/profiles/*.toml` hold those that come with the program."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     renamed: ClassVar[Mapping[str, str]] = {
@@ -36,14 +20,21 @@ class Profile(BaseModel):
         "look_again": "remeasure_after_search",
     }
 
-    name: str
-    detector: str
-    triangulator: str
-    solver: str
-    tracking: str
+    name: str  # how a user selects it
+    detector: str  # name of the detector plugin
+    triangulator: str  # name of the triangulator plugin
+    solver: str  # name of the pose-solver plugin
+    tracking: str  # "frame-update" (the paper's section II.D), "predictive" or "memoryless"
+    # whether each image counts at its own time (else all images of a frame set count at one
+    # instant).
     per_image_timestamps: bool
+    # whether poses wait for later ones: each is solved again with the motion of a spline through
+    # the poses before and after it, and a body just found is tracked back through the frame sets in
+    # which it was not found.
     smoothing: bool
+    # whether, after a search of whole frames, the balls are measured once more.
     remeasure_after_search: bool = True
+    # by stage name, the settings that differ from the defaults.
     settings: dict[Stage, dict[str, Any]] = Field(default_factory=dict)
 
     def with_stage(self, stage: Stage, name: str) -> Profile:

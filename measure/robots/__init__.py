@@ -4,6 +4,7 @@ from measure.robots.chain import Joint, SerialChain, dh_link
 from measure.robots.logs import (
     ROBOT_KEY,
     LogFile,
+    StateLog,
     check_robot,
     feature_columns,
     find_schema,
@@ -14,7 +15,7 @@ from measure.robots.logs import (
     write_log,
 )
 from measure.robots.raven import raven_chain, raven_schema
-from measure.robots.schema import Feature, Reading, RobotLog, StateLog, StateSchema
+from measure.robots.schema import Feature, Reading, RobotLog, StateSchema
 
 __all__ = [
     "ROBOT_KEY", "Feature", "Joint", "LogFile", "Reading", "RobotLog", "SerialChain", "StateLog",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -156,7 +156,7 @@ def _table_pieces(path: Path, schema: StateSchema) -> Iterator[tuple[Floats, Flo
 
 
 class LogFile:
-    """A log of any length; see `StateLog` for what its parts are.
+    """A log of any length; see `RobotLog` for what its parts are.
 
     The file is read once when this is built, and once more for every call of `states_at`.
     """
@@ -194,3 +194,6 @@ class LogFile:
         if start != len(self.times_s):
             raise EstimatorError(f"{self._path}: has changed while it was read: try again")
         return out
+
+
+StateLog: TypeAlias = RobotLog | LogFile

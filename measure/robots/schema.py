@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -163,42 +163,9 @@ class StateSchema:
         )
 
 
-class StateLog(Protocol):
-    """States of one robot on the robot's own clock, in memory or not."""
-
-    @property
-    def schema(self) -> StateSchema:
-        """What the columns of states are."""
-        ...
-
-    @property
-    def times_s(self) -> Floats:
-        """(n,) strictly increasing."""
-        ...
-
-    @property
-    def broken(self) -> Ints:
-        """(features,) in how many states a feature is no number."""
-        ...
-
-    @property
-    def complete(self) -> Bools:
-        """(n,) whether a state is all numbers."""
-        ...
-
-    @property
-    def reported_mm(self) -> Floats:
-        """(n, 3) the tip as reported; NaN where a state is not complete."""
-        ...
-
-    def states_at(self, rows: Ints) -> Floats:
-        """States (k, features) of some rows (k,), in any order."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class RobotLog:
-    """A log in memory."""
+    """States of one robot on the robot's own clock, in memory."""
 
     schema: StateSchema  # what the columns of `states` are
     times_s: Floats  # (n,) strictly increasing

@@ -15,17 +15,11 @@ from measure.testing.scenes import example
 
 
 class SinkConformance(PluginConformance):
-    """Tests of a sink that nobody listens to: it must not matter to anybody else.
+    """Tests of a sink that nobody listens to: it must not matter to anybody else."""
 
-    Attributes:
-        plugin: the class under test.
-        address: one that it can send to, or listen at, on this machine.
-        max_send_s: how long sending one pose may take, median.
-    """
-
-    plugin: ClassVar[type[Sink]]
-    address: ClassVar[str]
-    max_send_s: ClassVar[float] = 0.005
+    plugin: ClassVar[type[Sink]]  # the class under test
+    address: ClassVar[str]  # one that it can send to, or listen at, on this machine
+    max_send_s: ClassVar[float] = 0.005  # how long sending one pose may take, median
 
     def build(self, address: str | None = None) -> Sink:
         """A fresh instance."""
