@@ -15,11 +15,20 @@ def fit(
     An exception raised by `report` (to end a fit, say) is raised unchanged, also where the
     estimator raises another one from it.
     """
-    tracked = _TrackedReport(report)
+    raised: list[BaseException] = []
+
+    def tracked(done: float, what: str) -> None:
+        share = min(max(0.0, float(done)), 1.0)
+        try:
+            report(share, what)
+        except Exception as error:
+            raised.append(error)
+            raise
+
     try:
         estimator.fit(data, validation, seed=seed, report=tracked)
     except Exception as error:
-        theirs = tracked.raised_before(error)
+        theirs = next((one for one in _with_causes(error) if one in raised), None)
         if theirs is None and not isinstance(error, MeasureError):
             raise FitError(str(failure("estimator", estimator, "fitting", error))) from error
         if theirs is None or theirs is error:
@@ -29,27 +38,11 @@ def fit(
     raise theirs
 
 
-class _TrackedReport:
-    """A progress callback, of shares from 0 to 1, that keeps the exceptions it raised."""
-
-    def __init__(self, report: Report) -> None:
-        self._report = report
-        self._raised: list[Exception] = []
-
-    def __call__(self, done: float, what: str) -> None:
-        share = min(max(0.0, float(done)), 1.0)
-        try:
-            self._report(share, what)
-        except Exception as error:
-            self._raised.append(error)
-            raise
-
-    def raised_before(self, error: BaseException | None) -> Exception | None:
-        """The exception of the callback that is `error`, or its cause."""
-        seen: list[BaseException] = []
-        while error is not None and error not in seen:
-            if isinstance(error, Exception) and error in self._raised:
-                return error
-            seen.append(error)
-            error = error.__cause__ or error.__context__
-        return None
+def _with_causes(error: BaseException) -> list[BaseException]:
+    """An exception and what it was raised from, the latest first."""
+    found: list[BaseException] = []
+    at: BaseException | None = error
+    while at is not None and at not in found:
+        found.append(at)
+        at = at.__cause__ or at.__context__
+    return found

@@ -78,18 +78,11 @@ def _facts(run: Run, judged: Acceptance) -> list[tuple[str, str]]:
 
 def _errors(judged: Acceptance, at: np.ndarray, label: str) -> go.Figure:
     """Errors with their uncertainties, against one coordinate."""
-    figure = figures.blank(300, showlegend=False)
-    zero = np.zeros(len(at))
+    figure = figures.blank(300, label, "error [mm]", showlegend=False)
+    zero, marks = np.zeros(len(at)), {"color": figures.INK, "size": 3}
     bars = {"type": "data", "array": judged.expanded_mm, "color": figures.INK, "thickness": 1}
-    figure.add_trace(
-        go.Scatter(x=at, y=zero, mode="markers", error_y=bars, hoverinfo="skip",
-                   marker={"color": figures.INK, "size": 3})
-    )  # fmt: skip
+    figure.add_scatter(x=at, y=zero, mode="markers", error_y=bars, hoverinfo="skip", marker=marks)
     colors = [figures.GOOD if abs(r) <= 1 else figures.BAD for r in judged.ratios]
-    figure.add_trace(
-        go.Scatter(x=at, y=judged.length_errors_mm, mode="markers", text=list(judged.names),
-                   marker={"color": colors, "size": 8})
-    )  # fmt: skip
-    figure.update_xaxes(title=label)
-    figure.update_yaxes(title="error [mm]")
+    errors, dots = judged.length_errors_mm, {"color": colors, "size": 8}
+    figure.add_scatter(x=at, y=errors, mode="markers", text=list(judged.names), marker=dots)
     return figure

@@ -136,15 +136,13 @@ def _add_lenses(page: Page, rig: RigCalibration, verdict: Verdict) -> None:
 def _coverage(counts: Floats, size_wh: tuple[int, int], name: str) -> go.Figure:
     rows, columns = counts.shape
     figure = figures.blank_image(280, name, size_wh)
-    figure.add_trace(
-        go.Heatmap(
-            x=(np.arange(columns) + 0.5) * size_wh[0] / columns,
-            y=(np.arange(rows) + 0.5) * size_wh[1] / rows,
-            z=counts,
-            text=counts.astype(int),
-            texttemplate="%{text}",
-            colorscale="Blues",
-            showscale=False,
-        )
+    figure.add_heatmap(
+        x=(np.arange(columns) + 0.5) * size_wh[0] / columns,
+        y=(np.arange(rows) + 0.5) * size_wh[1] / rows,
+        z=counts,
+        text=counts.astype(int),
+        texttemplate="%{text}",
+        colorscale="Blues",
+        showscale=False,
     )
     return figure

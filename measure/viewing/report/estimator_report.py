@@ -128,15 +128,12 @@ def _add_provenance(page: Page, card: Mapping[str, Any]) -> None:
 
 
 def _bars(before: Score, after: Score, kind: str) -> go.Figure:
-    figure = figures.blank(barmode="group")
+    figure = figures.blank(y=f"{kind.upper()} [mm]", barmode="group")
     for name, score, color in (
         ("reported", before, figures.BAD), ("corrected", after, figures.GOOD)
     ):  # fmt: skip
-        axes = score.axis_rms_mm if kind == "rms" else score.axis_sd_mm
-        total = score.rms_mm if kind == "rms" else score.sd_mm
-        figure.add_trace(go.Bar(x=["x", "y", "z", "3-D"], y=[*axes, total], name=name,
-                                marker={"color": color}))  # fmt: skip
-    figure.update_yaxes(title=f"{kind.upper()} [mm]")
+        sizes = [*getattr(score, f"axis_{kind}_mm"), getattr(score, f"{kind}_mm")]
+        figure.add_bar(x=["x", "y", "z", "3-D"], y=sizes, name=name, marker={"color": color})
     return figure
 
 
@@ -168,13 +165,12 @@ def _over_time(trained: Trained) -> list[go.Figure]:
 
 
 def _curve(trained: Trained) -> go.Figure:
-    figure = figures.blank()
+    figure = figures.blank(x="pass", y="mm")
     epochs = [line.epoch for line in trained.curve]
     for name, values in (
         ("validation RMS", [line.validation_mm for line in trained.curve]),
         ("training loss", [line.train_mm for line in trained.curve]),
     ):
-        figure.add_trace(go.Scatter(x=epochs, y=values, name=name, mode="lines"))
-    figure.update_xaxes(title="pass")
-    figure.update_yaxes(title="mm", rangemode="tozero")
+        figure.add_scatter(x=epochs, y=values, name=name, mode="lines")
+    figure.update_yaxes(rangemode="tozero")
     return figure

@@ -19,8 +19,8 @@ GOOD, DOUBTFUL, BAD = "#4fa35a", "#d99a2b", "#cf4b4b"
 PALETTE = ("#3d8bd4", "#d9822b", "#4fa35a", "#b05fc4", "#c94f6d", "#2ba3a3", "#8a7a3d", "#7a86d9")
 
 
-def blank(height: int = 340, **layout: Any) -> go.Figure:
-    """An empty figure on a transparent ground, legible on light and dark pages."""
+def blank(height: int = 340, x: str = "", y: str = "", **layout: Any) -> go.Figure:
+    """An empty figure with these titles of its axes, legible on light and dark pages."""
     axis = {"gridcolor": GRID, "zerolinecolor": GRID, "linecolor": GRID, "automargin": True}
     settings: dict[str, Any] = {
         "height": height,
@@ -28,8 +28,8 @@ def blank(height: int = 340, **layout: Any) -> go.Figure:
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
         "font": {"color": INK, "size": 12},
-        "xaxis": axis,
-        "yaxis": axis,
+        "xaxis": axis | ({"title": {"text": x}} if x else {}),
+        "yaxis": axis | ({"title": {"text": y}} if y else {}),
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
         "hovermode": "closest",
     }
@@ -60,17 +60,11 @@ def over_time(
     colors: Mapping[str, str] | None = None,
 ) -> go.Figure:
     """Curves (n,) by name over times (n,), in a palette unless colored; NaN leaves a gap."""
-    figure = blank()
+    figure = blank(x="time since the start [s]", y=label)
     for index, (name, values) in enumerate(curves.items()):
-        color = (colors or {}).get(name, PALETTE[index % len(PALETTE)])
+        line = {"color": (colors or {}).get(name, PALETTE[index % len(PALETTE)])}
         keep = thinned(len(values), values)
-        figure.add_trace(
-            go.Scatter(
-                x=times_s[keep], y=values[keep], name=name, mode="lines", line={"color": color}
-            )
-        )
-    figure.update_xaxes(title="time since the start [s]")
-    figure.update_yaxes(title=label)
+        figure.add_scatter(x=times_s[keep], y=values[keep], name=name, mode="lines", line=line)
     return figure
 
 
@@ -78,12 +72,11 @@ def log_log(
     across: Floats, curves: Mapping[str, Floats], label: str, other_label: str
 ) -> go.Figure:
     """Curves (n,) by name over positive values (n,), both axes logarithmic."""
-    figure = blank()
+    figure = blank(x=label, y=other_label)
     for (name, values), color in zip(curves.items(), PALETTE, strict=False):
-        line = {"color": color}
-        figure.add_trace(go.Scatter(x=across, y=values, name=name, mode="lines", line=line))
-    figure.update_xaxes(title=label, type="log")
-    figure.update_yaxes(title=other_label, type="log", exponentformat="power")
+        figure.add_scatter(x=across, y=values, name=name, mode="lines", line={"color": color})
+    figure.update_xaxes(type="log")
+    figure.update_yaxes(type="log", exponentformat="power")
     return figure
 
 
@@ -91,7 +84,7 @@ def histograms(
     values: Floats, names: Sequence[str], label: str, counted: str = "frame sets"
 ) -> go.Figure:
     """One histogram per column of values (n, k), overlaid; `counted` names the rows."""
-    figure = blank(barmode="overlay")
+    figure = blank(x=label, y=counted, barmode="overlay")
     known = values[np.isfinite(values)]
     # Few values in narrow bins look like a comb.
     bins = int(np.clip(2 * np.sqrt(len(known) / max(len(names), 1)), 8, 40))
@@ -99,18 +92,9 @@ def histograms(
     for index, (column, name) in enumerate(zip(values.T, names, strict=True)):
         color = AXIS_COLORS.get(name, PALETTE[index % len(PALETTE)])
         counts, _ = np.histogram(column[np.isfinite(column)], edges)
-        figure.add_trace(
-            go.Bar(
-                x=(edges[:-1] + edges[1:]) / 2,
-                y=counts,
-                width=np.diff(edges),
-                name=name,
-                opacity=0.6,
-                marker={"color": color, "line": {"width": 0}},
-            )
-        )
-    figure.update_xaxes(title=label)
-    figure.update_yaxes(title=counted)
+        marker = {"color": color, "line": {"width": 0}}
+        middles, widths = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
+        figure.add_bar(x=middles, y=counts, width=widths, name=name, opacity=0.6, marker=marker)
     return figure
 
 
@@ -120,17 +104,11 @@ def residual_map(
     """Residuals (n, 2) px, detected less predicted, of one camera where they occurred (n, 2)."""
     keep = thinned(len(centers_px), np.linalg.norm(residuals_px, axis=1))
     start, arrows = centers_px[keep], residuals_px[keep] * ARROW_SCALE
-    gaps = np.full(len(start), np.nan)
+    lines = np.stack([start, start + arrows, np.full_like(start, np.nan)], axis=1)
     figure = blank_image(330, name, size_wh)
-    figure.add_trace(
-        go.Scatter(
-            x=np.column_stack([start[:, 0], start[:, 0] + arrows[:, 0], gaps]).ravel(),
-            y=np.column_stack([start[:, 1], start[:, 1] + arrows[:, 1], gaps]).ravel(),
-            mode="lines",
-            line={"color": INK, "width": 1},
-            hoverinfo="skip",
-        )
-    )
+    x, y = lines.reshape(-1, 2).T
+    line = {"color": INK, "width": 1}
+    figure.add_scatter(x=x, y=y, mode="lines", line=line, hoverinfo="skip")
     size = np.linalg.norm(residuals_px[keep], axis=1)
     marker = {"color": size, "colorscale": "Turbo", "size": 5, "cmin": 0.0}
     marker["colorbar"] = {
@@ -141,9 +119,7 @@ def residual_map(
         "thickness": 10,
         "len": 0.8,
     }
-    figure.add_trace(
-        go.Scatter(x=start[:, 0], y=start[:, 1], mode="markers", marker=marker, text=size)
-    )
+    figure.add_scatter(x=start[:, 0], y=start[:, 1], mode="markers", marker=marker, text=size)
     return figure
 
 
@@ -156,28 +132,21 @@ def state_timeline(
     shown = codes if count <= MAX_POINTS else _commonest(codes, ends)
     colors = [css(reason) for reason in reasons]
     top = max(len(reasons) - 1, 1)
-    scale = []
-    for code in range(len(reasons)):
-        color = colors[code]
-        scale += [(code / (top + 1), color), ((code + 1) / (top + 1), color)]
-    figure = blank(90 + 22 * len(views))
-    figure.add_trace(
-        go.Heatmap(
-            x=times_s[ends[:-1]],
-            y=list(views),
-            z=shown.astype(np.int8),
-            zmin=-0.5,
-            zmax=top + 0.5,
-            colorscale=scale,
-            ygap=2,
-            showscale=False,
-        )
+    steps = [(code + end) / (top + 1) for code in range(len(reasons)) for end in (0, 1)]
+    figure = blank(90 + 22 * len(views), x="time since the start [s]")
+    figure.add_heatmap(
+        x=times_s[ends[:-1]],
+        y=list(views),
+        z=shown.astype(np.int8),
+        zmin=-0.5,
+        zmax=top + 0.5,
+        colorscale=list(zip(steps, np.repeat(colors, 2), strict=True)),
+        ygap=2,
+        showscale=False,
     )
-    for code, reason in enumerate(reasons):
-        marker = {"symbol": "square", "size": 10, "color": colors[code]}
-        key = go.Scatter(x=[None], y=[None], mode="markers", marker=marker, name=reason)
-        figure.add_trace(key)
-    figure.update_xaxes(title="time since the start [s]")
+    for reason, color in zip(reasons, colors, strict=True):
+        marker = {"symbol": "square", "size": 10, "color": color}
+        figure.add_scatter(x=[None], y=[None], mode="markers", marker=marker, name=reason)
     figure.update_yaxes(autorange="reversed")
     return figure
 

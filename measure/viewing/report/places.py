@@ -48,34 +48,24 @@ def trajectory(
         "size": 3,
         "colorbar": {"title": {"text": "SD [mm]", "side": "top"}, **_BELOW},
     }
-    path = go.Scatter3d(
-        x=positions[keep, 0],
-        y=positions[keep, 1],
-        z=positions[keep, 2],
-        mode="markers+lines",
-        marker=colors,
-        line={"color": figures.INK, "width": 1},
-        name="body",
-    )
-    rig = go.Scatter3d(
-        x=camera_centers[:, 0],
-        y=camera_centers[:, 1],
-        z=camera_centers[:, 2],
-        mode="markers+text",
-        marker={"size": 5, "symbol": "diamond", "color": figures.DOUBTFUL},
-        text=list(camera_names),
-        name="cameras",
-    )
     axis = {"showbackground": False, "gridcolor": _LINES, "zerolinecolor": _LINES, "nticks": 5}
     scene = {f"{name}axis": {**axis, "title": f"{name} [mm]"} for name in "xyz"}
     eye = {"eye": {"x": 1.9, "y": -2.3, "z": 1.3}}
     figure = figures.blank(460, scene={**scene, "aspectmode": "data", "camera": eye})
     figure.update_layout(showlegend=False, margin={"t": 0, "b": 40})
-    figure.add_traces([path, rig])
+    line = {"color": figures.INK, "width": 1}
+    x, y, z = positions[keep].T
+    figure.add_scatter3d(x=x, y=y, z=z, mode="markers+lines", marker=colors, line=line, name="body")
+    x, y, z = camera_centers.T
+    marker = {"size": 5, "symbol": "diamond", "color": figures.DOUBTFUL}
+    names = list(camera_names)
+    figure.add_scatter3d(
+        x=x, y=y, z=z, mode="markers+text", marker=marker, text=names, name="cameras"
+    )
     if doubtful is not None and len(doubtful):
         x, y, z = doubtful.T
         loose = {"size": 3, "symbol": "x", "color": figures.BAD}
-        figure.add_trace(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=loose, name="flagged"))
+        figure.add_scatter3d(x=x, y=y, z=z, mode="markers", marker=loose, name="flagged")
     return figure
 
 
@@ -86,7 +76,7 @@ def plan(positions: Floats, axes: tuple[int, int], doubtful: Floats) -> go.Figur
     if len(doubtful):
         x, y = doubtful[:, axes[0]], doubtful[:, axes[1]]
         loose = {"size": 5, "symbol": "x", "color": figures.BAD}
-        figure.add_trace(go.Scatter(x=x, y=y, mode="markers", marker=loose, name="flagged"))
+        figure.add_scatter(x=x, y=y, mode="markers", marker=loose, name="flagged")
     _name_axes(figure, axes, "range")
     return figure
 
@@ -100,15 +90,9 @@ def accuracy(
     markers.
     """
     figure = figures.blank(400, showlegend=False)
-    figure.add_trace(
-        go.Heatmap(
-            x=across_mm,
-            y=up_mm,
-            z=sd_mm,
-            colorscale="Viridis",
-            hoverongaps=False,
-            colorbar={"title": {"text": "SD [mm]", "side": "top"}, **_BELOW, "y": -0.2},
-        )
+    bar = {"title": {"text": "SD [mm]", "side": "top"}, **_BELOW, "y": -0.2}
+    figure.add_heatmap(
+        x=across_mm, y=up_mm, z=sd_mm, colorscale="Viridis", hoverongaps=False, colorbar=bar
     )
     if len(places):
         figure.add_trace(_path(places, axes, "#ffffff"))
@@ -118,14 +102,9 @@ def accuracy(
 
 def _path(positions: Floats, axes: tuple[int, int], color: str) -> go.Scatter:
     keep = figures.thinned(len(positions), *positions[:, axes].T)
-    return go.Scatter(
-        x=positions[keep, axes[0]],
-        y=positions[keep, axes[1]],
-        mode="lines+markers",
-        marker={"size": 4},
-        line={"color": color, "width": 1},
-        name="body",
-    )
+    x, y = positions[keep][:, axes].T
+    line, marker = {"color": color, "width": 1}, {"size": 4}
+    return go.Scatter(x=x, y=y, mode="lines+markers", marker=marker, line=line, name="body")
 
 
 def _name_axes(figure: go.Figure, axes: tuple[int, int], constrain: str) -> None:
