@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import TypeAdapter
 
 from measure.arrays import Bools, Floats, Ints, floats
 from measure.errors import EstimatorError
@@ -55,6 +56,9 @@ class LogFormat:
     topics: tuple[str, ...] = ()  # ends of names of joint topics in bags, the preferred first
     tip_topics: tuple[str, ...] = ()  # topics of poses of the tip
     frames: tuple[str, str] | None = None  # of base and tip in /tf
+
+
+_FORMATS = TypeAdapter(LogFormat)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,12 +148,6 @@ class StateSchema:
             np.array(values["chain"]["tool"]),
         )
         x, y, z = readings(values["position"])
-        log = dict(values.get("log", {}))  # data sets and models of old have none
-        names = (
-            OtherNames(tuple(n["features"]), tuple(n["columns"]), n["scale"], n["unless"])
-            for n in log.pop("names", ())
-        )
-        rest: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in log.items()}
         return cls(
             robot=values["robot"],
             features=tuple(Feature(name, unit) for name, unit in values["features"]),
@@ -159,7 +157,7 @@ class StateSchema:
             coupled=tuple(values["coupled"]),
             chain=chain,
             groups={name: tuple(members) for name, members in values["groups"].items()},
-            log=LogFormat(tuple(names), **rest),
+            log=_FORMATS.validate_python(values.get("log", {})),  # models of old have none
         )
 
 

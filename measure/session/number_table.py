@@ -50,7 +50,8 @@ def read_number_table(
             the message starts with `prefix`, file and line.
     """
     text = read_text(path, error)
-    separator = _separator(text)
+    head = next((line for line in text.splitlines() if line.strip()), "")
+    separator = max(_SEPARATORS, key=head.count)  # a comma if none is there
     numbered = _numbered_rows(text, separator, f"{prefix}{path}", error)
     _, first = next(numbered, (1, []))
     header = [name.strip() for name in first]
@@ -86,23 +87,12 @@ def _lacks(
 ) -> str:
     """What a header does not hold, must hold, and holds; in words."""
     names = [time_column or TIME if name == TIME else name for name in missing]
+    times = candidates(header) if time_column is None and TIME in missing else []
     return (
         f"the header lacks {', '.join(names)}; it must hold {','.join(needed)}, it holds "
         f"{','.join(header)[:80] or 'nothing'}"
-        + (_ambiguous(header) if time_column is None and TIME in missing else "")
+        + (f": which of {' and '.join(times)} holds it? Head it {TIME}" if times else "")
     )
-
-
-def _separator(text: str) -> str:
-    """What stands between the names of the header, the most frequent; a comma if none does."""
-    header = next((line for line in text.splitlines() if line.strip()), "")
-    return max(_SEPARATORS, key=header.count)
-
-
-def _ambiguous(header: list[str]) -> str:
-    """What to do where several columns may hold the time."""
-    names = candidates(header)
-    return f": which of {' and '.join(names)} holds it? Head it {TIME}" if names else ""
 
 
 def _is_alike(bad: _BadRowError, reader: _RowReader, row: list[str]) -> bool:

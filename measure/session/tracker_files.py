@@ -15,6 +15,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -119,7 +120,7 @@ def _motive(rows: list[list[str]]) -> dict[str, TrackedBody]:
     for name, at in places.items():
         turns = [at[f"Rotation {axis}"] for axis in ("WXYZ" if "Rotation W" in at else order)]
         where = [at[f"Position {axis}"] for axis in "XYZ"]
-        to_quat = _as_is if len(turns) == 4 else _of_angles(order)
+        to_quat = np.asarray if len(turns) == 4 else partial(_of_angles, order)
         unit = _unit_mm(given.get("Length Units", "Meters"))
         out[name] = TrackedBody(rows, head, [1], [1.0], turns, to_quat, where, unit)
     return out
@@ -135,7 +136,8 @@ def _vicon(rows: list[list[str]]) -> dict[str, TrackedBody]:
         quaternion = headings[k + 3] == "RW"
         turns = [k + 3, k, k + 1, k + 2] if quaternion else [k, k + 1, k + 2]
         start = headings.index("TX", k)
-        to_quat = _as_is if quaternion else _of_vectors(degrees=units[k].startswith("deg"))
+        in_deg = units[k].startswith("deg")
+        to_quat = np.asarray if quaternion else partial(_of_vectors, degrees=in_deg)
         given = rows, head + 1, [0], [1 / rate], turns, to_quat, [start, start + 1, start + 2]
         # Frames count from 1.
         body = TrackedBody(*given, _unit_mm(units[start]), begin_s=1 / rate)
@@ -171,7 +173,7 @@ def _ndi(rows: list[list[str]]) -> dict[str, TrackedBody]:
             times, units = [own["timespec_s"], own["timespec_ns"]], [1.0, 1e-9]
         turns, places = list(range(k, k + 4)), list(range(k + 4, k + 7))
         name = name or f"tool {len(out) + 1}"
-        out[name] = TrackedBody(seen, 0, times, units, turns, _as_is, places)
+        out[name] = TrackedBody(seen, 0, times, units, turns, np.asarray, places)
         before = k + 7
     return out
 
@@ -193,16 +195,12 @@ def _unit_mm(name: str) -> float:
     return _LENGTHS_MM[name.lower()]
 
 
-def _as_is(quat_wxyz: Floats) -> Floats:
-    return quat_wxyz
+def _of_angles(order: str, deg: Floats) -> Floats:
+    return Rotation.from_euler(order, deg, degrees=True).as_quat(scalar_first=True)
 
 
-def _of_angles(order: str) -> Callable[[Floats], Floats]:
-    return lambda deg: Rotation.from_euler(order, deg, degrees=True).as_quat(scalar_first=True)
-
-
-def _of_vectors(*, degrees: bool) -> Callable[[Floats], Floats]:
-    return lambda rotvec: Rotation.from_rotvec(rotvec, degrees=degrees).as_quat(scalar_first=True)
+def _of_vectors(rotvec: Floats, *, degrees: bool) -> Floats:
+    return Rotation.from_rotvec(rotvec, degrees=degrees).as_quat(scalar_first=True)
 
 
 def _of_columns(values: Floats) -> Floats:
