@@ -4,8 +4,15 @@ What learns and what draws loads when an action is called, not with this package
 """
 
 from measure.api.accepting import Accepted, accept
-from measure.api.calibrating import CalibrationResult, calibrate, draw_target, shipped_targets
+from measure.api.calibrating import (
+    CalibrationResult,
+    calibrate,
+    calibrate_to,
+    draw_target,
+    shipped_targets,
+)
 from measure.api.cameras import cameras
+from measure.api.capturing import capture_board
 from measure.api.check import SessionCheck, check
 from measure.api.correcting import (
     check_estimates,
@@ -57,6 +64,7 @@ from measure.api.results import body_names, compare, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.synchronising import SyncedClock, sync
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
+from measure.calibration import WaveState
 from measure.capture import (
     CameraAddress,
     CameraCount,
@@ -69,7 +77,7 @@ from measure.capture import (
 from measure.host import Registry
 from measure.measuring import Measurement
 from measure.results.evaluation import evaluation_tables
-from measure.session import read_body, read_calibration
+from measure.session import read_body, read_calibration, write_calibration
 
 __all__ = [
     "Accepted", "BallWatch", "CalibrationResult", "CameraAddress", "CameraCount", "CameraNow",
@@ -77,16 +85,17 @@ __all__ = [
     "LiveEnd", "LiveOptions", "LiveState", "Measurement", "Mode", "Outcome", "PictureFacts",
     "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry",
     "RestsSoFar", "RunOptions", "SeenPicture", "SessionCheck", "SweepOptions", "SyncedClock",
-    "TipResult", "TrainOptions", "WatchedCamera", "ablate", "accept", "body_names",
-    "build_pipeline", "calibrate", "camera_names", "cameras", "check", "check_estimates",
-    "check_new_body", "choose", "compare", "contents_of", "correct_simulated_robot", "demo",
-    "detect", "draw_target", "estimate_file", "estimate_online", "evaluate", "evaluation_tables",
-    "events", "export", "find_body", "inside", "live", "load_profile", "make_dataset",
-    "mark_event", "measure_bodies", "measure_session", "model_file", "next_free", "parse_cameras",
-    "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
-    "parse_size", "pivot", "play", "profile_names", "read_body", "read_calibration", "record",
-    "refine", "register", "render_demo", "report", "rests", "rezero", "robot_recording", "run",
-    "run_many", "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording",
-    "sweep", "sync", "train", "usb_notes", "web_viewer", "world", "world_by_board",
+    "TipResult", "TrainOptions", "WatchedCamera", "WaveState", "ablate", "accept", "body_names",
+    "build_pipeline", "calibrate", "calibrate_to", "camera_names", "cameras", "capture_board",
+    "check", "check_estimates", "check_new_body", "choose", "compare", "contents_of",
+    "correct_simulated_robot", "demo", "detect", "draw_target", "estimate_file",
+    "estimate_online", "evaluate", "evaluation_tables", "events", "export", "find_body", "inside",
+    "live", "load_profile", "make_dataset", "mark_event", "measure_bodies", "measure_session",
+    "model_file", "next_free", "parse_cameras", "parse_click", "parse_controls",
+    "parse_expectation", "parse_images", "parse_settings", "parse_size", "pivot", "play",
+    "profile_names", "read_body", "read_calibration", "record", "refine", "register",
+    "render_demo", "report", "rests", "rezero", "robot_recording", "run", "run_many",
+    "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording", "sweep", "sync",
+    "train", "usb_notes", "web_viewer", "world", "world_by_board", "write_calibration",
     "write_sampled_body",
 ]  # fmt: skip

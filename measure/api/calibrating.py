@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import measure
+from measure.api.outputs import check_apart, check_page_writable, check_replaceable
 from measure.calibration import (
     Method,
     RigCalibration,
@@ -13,6 +14,7 @@ from measure.calibration import (
     Verdict,
     calibrate_capture,
     judge,
+    judgement_lines,
     open_capture,
     provenance,
     target_sheet,
@@ -21,7 +23,8 @@ from measure.calibration import (
 from measure.errors import ConfigError
 from measure.model import paper_body
 from measure.processes import Progress
-from measure.session import Calibration, check_unit, read_body
+from measure.session import Calibration, check_unit, read_body, read_calibration, write_calibration
+from measure.session.calibrations import Format
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,10 @@ class CalibrationResult:
     calibration: Calibration
     rig: RigCalibration
     verdict: Verdict
+
+    def lines(self) -> list[str]:
+        """What was measured, what was noticed, what it is good for."""
+        return judgement_lines(self.rig, self.verdict)
 
 
 def calibrate(
@@ -58,6 +65,38 @@ def calibrate(
     verdict = judge(rig, measured_with, opened.settings.floor_z_mm)
     values = provenance(rig, verdict, opened.settings.name)
     return CalibrationResult(Calibration(rig.cameras, values), rig, verdict)
+
+
+def calibrate_to(
+    output: Path,
+    capture: Path,
+    method: Method = "joint",
+    body: Path | None = None,
+    progress: Progress | None = None,
+    *,
+    file_format: Format = "triball",
+    report: Path | None = None,
+) -> tuple[CalibrationResult, Path]:
+    """`calibrate`, written to a file, with the report as a page beside it.
+
+    Args:
+        file_format: of the output; only "triball" holds covariances and the judgement.
+        report: the page; beside the output, ending in .html, if omitted.
+
+    Returns:
+        The result, and the page.
+    """
+    from measure.viewing.report.calibration_report import calibration_report
+
+    page = output.with_suffix(".html") if report is None else report
+    check_replaceable(output, read_calibration, "calibration")
+    check_page_writable(page)
+    check_apart(output, page)
+    result = calibrate(capture, method, body, progress)
+    write_calibration(output, result.calibration, file_format)
+    made = calibration_report(capture.name or str(capture), result.rig, result.verdict)
+    page.write_text(made, encoding="utf-8")
+    return result, page
 
 
 def draw_target(target: Path | str, output: Path | str | None = None) -> tuple[Sheet, Path]:

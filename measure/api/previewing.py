@@ -33,7 +33,8 @@ _AGAIN_S = 1.0  # Wait before a camera that could not be reached is tried again
 _ROWS, _COLUMNS = 360, 480  # Of a picture that are judged, at least, where it has as many
 _REACH_PX = 25  # Width within which an edge's contrast is taken
 _EDGES, _BRIGHTEST = 0.9995, 0.99  # Quantiles that stand for the edges, and for what is bright
-_SEARCH_SHARE = 0.2  # Share of one core that searching pictures for balls may take
+_SEEN_S = 5.0  # How long a ball that was found is shown
+_SEARCH_SHARE = 0.3  # Share of one core that searching pictures for balls may take
 _MARK_BGR, _BALL_BGR = (255, 0, 255), (255, 255, 255)
 
 
@@ -113,8 +114,15 @@ class Preview:
         except MeasureError:
             return None
 
+    def write(self, cameras: Iterable[str], folder: Path) -> None:
+        """Write the newest picture of each camera into a new folder, named like the camera."""
+        folder.mkdir()
+        for name in cameras:
+            if (image := self.newest(name)) is not None:
+                cv2.imwrite(str(folder / f"{name}.png"), image.pixels)
+
     def note_balls(self, camera: str, found: Iterable[Detection]) -> None:
-        """Hear where balls are; they are drawn into the camera's pictures for two seconds."""
+        """Hear where balls are; they are drawn into the camera's pictures for a while."""
         self._balls[camera] = time.monotonic(), tuple(found)
 
     def note_measured(self, measured: Measurement) -> None:
@@ -126,7 +134,7 @@ class Preview:
     def balls(self, camera: str) -> tuple[str, ...]:
         """Names of the balls that were seen of late."""
         since, found = self._balls.get(camera, (-math.inf, ()))
-        late = time.monotonic() - since > 2.0
+        late = time.monotonic() - since > _SEEN_S
         return () if late else tuple(sorted({one.ball for one in found}))
 
     def shown(self, camera: str, width_px: int) -> tuple[bytes, PictureFacts] | None:

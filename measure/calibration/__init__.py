@@ -19,12 +19,13 @@ from measure.calibration.rig_problem import RigObservations, Tolerances
 from measure.calibration.targets import MarkerField, read_board
 from measure.calibration.verdict import Verdict, camera_rows, judge, judgement_lines, provenance
 from measure.calibration.views import choose_views, find_views
+from measure.calibration.waving import BoardWave, WaveState
 
 __all__ = [
-    "Board", "Capture", "Charuco", "Chessboard", "Corners", "MarkerField", "Method",
+    "Board", "BoardWave", "Capture", "Charuco", "Chessboard", "Corners", "MarkerField", "Method",
     "RefineSettings", "RefinedRig", "RigCalibration", "RigObservations", "Sheet", "Tolerances",
-    "Verdict", "calibrate_capture", "calibrate_lens", "camera_rows", "choose_views", "find_markers",
-    "find_views", "fit_rig", "fit_rig_by_paper", "judge", "judge_refinement", "judgement_lines",
-    "open_capture", "provenance", "read_board", "refine_measured", "refine_rig", "rough_cameras",
-    "target_sheet", "write_sheet",
+    "Verdict", "WaveState", "calibrate_capture", "calibrate_lens", "camera_rows", "choose_views",
+    "find_markers", "find_views", "fit_rig", "fit_rig_by_paper", "judge", "judge_refinement",
+    "judgement_lines", "open_capture", "provenance", "read_board", "refine_measured",
+    "refine_rig", "rough_cameras", "target_sheet", "write_sheet",
 ]  # fmt: skip

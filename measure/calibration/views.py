@@ -234,7 +234,7 @@ def choose_views(
 
 def _different(board: Board, views: list[Corners], least_px: float, limit: int) -> list[int]:
     """Numbers of views, each as different as can be, and by `least_px`, from those before it."""
-    outlines = [_outline(board, view) for view in views]
+    outlines = [outline(board, view) for view in views]
     chosen = [int(np.argmax([len(view.ids) for view in views]))]
     nearest = np.full(len(views), np.inf)
     while len(chosen) < min(limit, len(views)):
@@ -247,7 +247,7 @@ def _different(board: Board, views: list[Corners], least_px: float, limit: int) 
     return chosen
 
 
-def _outline(board: Board, view: Corners) -> Floats:
+def outline(board: Board, view: Corners) -> Floats:
     """Where the board's four outer corners would appear (4, 2), by the view's homography."""
     flat = board.points[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)

@@ -33,21 +33,13 @@ def calibrate(
         file_format: of the output; only "triball" holds covariances and the judgement.
         report: HTML report to write; beside the output, ending in .html, if omitted.
     """
-    from measure.api import calibrate as run
-    from measure.api.outputs import check_apart, check_page_writable, check_replaceable
-    from measure.calibration import camera_rows, judgement_lines
-    from measure.session import read_calibration, write_calibration
-    from measure.viewing.report.calibration_report import calibration_report
+    from measure import api
+    from measure.calibration import camera_rows
 
-    page = output.with_suffix(".html") if report is None else report
-    check_replaceable(output, read_calibration, "calibration")
-    check_page_writable(page)
-    check_apart(output, page)
     with console.progress("calibrating", "cameras") as progress:
-        result = run(capture, method, body, progress)
-    write_calibration(output, result.calibration, file_format)
-    made = calibration_report(capture.name or str(capture), result.rig, result.verdict)
-    page.write_text(made, encoding="utf-8")
+        result, page = api.calibrate_to(
+            output, capture, method, body, progress, file_format=file_format, report=report
+        )
     code = 0 if result.verdict.trustworthy else console.UNBELIEVABLE
     if json:
         console.print_json({"output": output, **result.calibration.provenance})
@@ -56,7 +48,7 @@ def calibrate(
         ("camera", "f_px", "position_sd_mm", "rotation_sd_deg", "rms_px"),
         camera_rows(result.rig.cameras),
     )
-    for line in judgement_lines(result.rig, result.verdict):
+    for line in result.lines():
         console.print_text(line)
     console.print_text(f"wrote {output} and {page}")
     return code

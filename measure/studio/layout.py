@@ -14,7 +14,7 @@ from measure.errors import MeasureError
 from measure.studio.bench import Bench
 
 _T = TypeVar("_T")
-PAGES = (("/", "Cameras"), ("/measure", "Measure"))
+PAGES = (("/", "Cameras"), ("/calibration", "Calibration"), ("/measure", "Measure"))
 _HEAD = """<link rel="stylesheet" href="/studio/studio.css">
 <script defer src="/studio/studio.js"></script>"""
 
@@ -84,6 +84,19 @@ def chosen(bench: Bench, select: ui.select) -> list[Path]:
     """The files that are chosen."""
     names = select.value if isinstance(select.value, list) else [select.value]
     return [api.inside(bench.folder, name) for name in names if name]
+
+
+def link(text: str, bench: Bench, file: Callable[[], Path | None]) -> None:
+    """A link to a file of the folder, as soon as it is there."""
+    shown = ui.link(text, "", new_tab=True)
+
+    def show() -> None:
+        there = file()
+        if there is not None:
+            shown.props(f'href="/file/{there.relative_to(bench.folder)}"')
+        shown.set_visibility(there is not None)
+
+    ui.timer(0.5, show)
 
 
 def picture(camera: str, width_px: int) -> ui.element:

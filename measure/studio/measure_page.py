@@ -14,7 +14,7 @@ from nicegui import ui
 from measure import api
 from measure.errors import ConfigError
 from measure.studio.bench import Bench, Job
-from measure.studio.layout import choice, chosen, page, picture, put, tried
+from measure.studio.layout import choice, chosen, link, page, picture, put, tried
 
 _LISTED = 8  # Rests, and events, that are listed, the latest
 _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
@@ -169,6 +169,7 @@ def _figures(live: _Live) -> None:
 
     async def settle() -> None:
         rests.rows = await tried(lambda: list(_rest_rows(live))) or []
+        rests.set_visibility(bool(rests.rows))
 
     ui.timer(0.3, show)
     ui.timer(2.0, settle)
@@ -235,16 +236,13 @@ def _afterwards(bench: Bench, live: _Live) -> None:
         )
 
     with ui.row().classes("line"):
-        link = ui.link("Report", "", new_tab=True)
+        link("Report", bench, lambda: live.report)
         checks = ui.button("Check", on_click=lambda: tried(lambda: bench.begin("checking", check)))
         compares = ui.button(
             "Evaluate", on_click=lambda: tried(lambda: bench.begin("evaluating", evaluate))
         )
 
     def show() -> None:
-        if live.report is not None:
-            link.props(f'href="/file/{live.report.relative_to(bench.folder)}"')
-        link.set_visibility(live.report is not None)
         checks.set_visibility(live.session is not None and not bench.busy)
         compares.set_visibility(live.report is not None and not bench.busy)
 

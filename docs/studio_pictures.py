@@ -1,0 +1,87 @@
+"""Make the pictures of the set-up page: `python -m docs.studio_pictures` (needs chromium).
+
+The page is served cameras of rendered pictures: a session of three balls, and a waved board. With
+`--all FOLDER` every page is drawn into a folder, wide and narrow, light and dark.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tests.camera_server import ServedCamera, serving
+from tests.chromium import Chromium
+from tests.simulated.sessions import still_session
+from tests.studio.desk import choose, press, studio
+from tests.studio.test_calibration import ADVICE, jpegs
+from tests.studio.waved import TARGET, rig
+
+IMAGES = Path(__file__).parent / "images"
+WIDTH_PX = 900
+SIZES = [(1280, 800, False), (1280, 800, True), (420, 800, False), (420, 800, True)]
+LIVE = "document.querySelectorAll('img.live[src^=blob]').length >= 2"
+
+
+def main(folder: Path | None) -> None:
+    """Photograph the pages, while they measure and while a board is waved."""
+    with tempfile.TemporaryDirectory() as scratch, Chromium(1280, 800) as page:
+        still, desk = still_session(Path(scratch)), Path(scratch) / "desk"
+        desk.mkdir()
+        for name in ("calibration.toml", "body.toml"):
+            shutil.copy(still / name, desk)
+        cameras = {
+            f"cam{k}": [f.read_bytes() for f in sorted((still / f"cam{k}").glob("*.jpg"))]
+            for k in range(4)
+        }
+        with serving(_served(cameras)) as found, studio(desk, *_words(found)) as address:
+            page.open(address)
+            page.wait_for(LIVE, 30)
+            choose(page, "Body to look for", "body.toml")
+            page.wait_for("document.body.innerText.includes('green, red, yellow')", 60)
+            _take(page, "cameras", folder)
+            page.open(address + "measure")
+            press(page, "measure$")
+            page.wait_for("document.querySelector('[data-pose]')?.innerText.includes('±')", 120)
+            page.idle(3.0)
+            _take(page, "measure", folder)
+        rng = np.random.default_rng(0)
+        waved = {camera.name: jpegs(camera, rng) for camera in rig()}
+        board = Path(scratch) / "board"
+        with serving(_served(waved)) as found, studio(board, *_words(found)) as address:
+            page.open(address + "calibration")
+            choose(page, "Board", TARGET)
+            press(page, "wave the board")
+            page.wait_for(f"!!{ADVICE} && {LIVE}", 30)
+            page.idle(4.0)
+            _take(page, "calibration", folder)
+
+
+def _served(cameras: dict[str, list[bytes]]) -> dict[str, ServedCamera]:
+    return {name: ServedCamera(some, 0.25, stamps=True) for name, some in cameras.items()}
+
+
+def _words(addresses: dict[str, str]) -> list[str]:
+    return [f"{name}={address}" for name, address in addresses.items()]
+
+
+def _take(page: Chromium, name: str, folder: Path | None) -> None:
+    for width, height, dark in SIZES if folder else SIZES[:1]:
+        page.resize(width, height, dark)
+        page.idle(1.5)
+        shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        if folder:
+            cv2.imwrite(str(folder / f"{name}-{width}{'-dark' * dark}.png"), shot)
+        else:
+            size = WIDTH_PX, round(height * WIDTH_PX / width)
+            small = cv2.resize(shot, size, interpolation=cv2.INTER_AREA)
+            cv2.imwrite(str(IMAGES / f"studio-{name}.png"), small, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    page.resize(*SIZES[0])
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[2]) if sys.argv[1:2] == ["--all"] else None)

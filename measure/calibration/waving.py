@@ -1,0 +1,209 @@
+"""A board that is waved: which pictures are worth keeping, and whether they are enough."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from measure.arrays import Floats, rms_length
+from measure.calibration.board_views import board_pose, fit_lens, start_intrinsics
+from measure.calibration.boards import Board, Corners
+from measure.calibration.common_views import fit_common_views
+from measure.calibration.findings import workspace_of
+from measure.calibration.intrinsics import LensCalibration
+from measure.calibration.lens import LENS_MODELS
+from measure.calibration.views import ALL_VIEWS, MIN_VIEWS, choose_views, outline
+from measure.errors import CalibrationError, DegenerateGeometryError
+from measure.estimation.expected_accuracy import body_pose_sd
+from measure.geometry import RigidTransform
+from measure.model import Body, Intrinsics
+
+GOAL_MM = 0.05  # Expected error of the body's position that is good enough
+_NEW_SHARE = 0.06  # Share of the diagonal by which a view differs from those that are kept
+_SLIP_PX = 0.5  # How far the board may move between the pictures of one instant
+_RECENT_S = 0.5  # A view of so long ago tells how fast the board moves
+_BLURRED_SHARE = 0.5
+_FIT_EVERY = 4  # Instants after which the cameras are fitted again
+_FEWEST, _COMMON = 8, 4  # Views of a camera, and of two neighbours, from which the fit may decide
+_TILTED_DEG, _TILTS, _DISTANCES = 20.0, 4, 1.3
+_FOCAL = 0.72  # Focal length over the longer side, of ordinary webcams
+_ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
+
+
+@dataclass(frozen=True, eq=False)
+class CameraWave:
+    """What one camera has seen of the board."""
+
+    views: int  # kept
+    cells: Floats  # (3, 3) corners in each part of the picture, from the upper left
+    tilts: int  # views in which the board was tilted clearly
+    distances: float  # farthest over nearest; NaN without views
+    sharpness: float  # of the last view; NaN without one
+
+
+@dataclass(frozen=True, eq=False)
+class WaveState:
+    """How far the pictures of a waved board suffice."""
+
+    cameras: Mapping[str, CameraWave]
+    pairs: Mapping[tuple[str, str], int]  # instants at which both cameras saw the board
+    # expected error of the body's position (3-D, one standard deviation, RMS over the workspace)
+    # from the calibration; NaN while nothing can be said.
+    position_sd_mm: float
+    goal_mm: float
+    advice: tuple[str, ...]  # what to do next, the most useful first
+
+    @property
+    def enough(self) -> bool:
+        """Whether lens and rig are as good as was asked for."""
+        return not self.advice and self.position_sd_mm <= self.goal_mm
+
+    def sentence(self) -> str:
+        """How good it is, for people."""
+        if np.isnan(self.position_sd_mm):
+            return "too few views to say how good the calibration will be"
+        word = "good enough" if self.enough else "not good enough yet"
+        return f"expected error at the body {self.position_sd_mm:.3f} mm, {word}"
+
+
+@dataclass
+class BoardWave:
+    """Takes what cameras see of a board at instants, and keeps what adds something."""
+
+    board: Board
+    sizes_wh: dict[str, tuple[int, int]]  # of the pictures, by camera
+    body: Body  # that will be measured
+    goal_mm: float = GOAL_MM
+    kept: list[dict[str, Corners]] = field(default_factory=list)
+    _outlines: dict[str, list[Floats]] = field(default_factory=dict)
+    _poses: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    _before: dict[str, tuple[float, Floats]] = field(default_factory=dict)
+    _sd_mm: float = np.nan
+    _last: dict[str, float] = field(default_factory=dict)
+
+    def add(self, views: Mapping[str, Corners], times_s: Mapping[str, float]) -> bool:
+        """Take the views of one instant, by camera, and say whether they are kept.
+
+        They are if one is unlike all before it, none is blurred, and the board hardly moved from
+        the first of the pictures to the last.
+        """
+        outlines = {name: outline(self.board, view) for name, view in views.items()}
+        slips = [self._slip_px(name, at, times_s) for name, at in outlines.items()]
+        self._before |= {name: (times_s[name], at) for name, at in outlines.items()}
+        self._last |= {name: view.sharpness for name, view in views.items()}
+        new = [name for name, at in outlines.items() if self._is_new(name, at)]
+        if not new or max(slips) > _SLIP_PX or any(map(self._is_blurred, views.items())):
+            return False
+        number = str(len(self.kept))  # by which views of one instant are known
+        self.kept.append({name: replace(view, source=number) for name, view in views.items()})
+        for name, at in outlines.items():
+            self._outlines.setdefault(name, []).append(at)
+            self._poses.setdefault(name, []).append(self._pose(name, views[name]))
+        if len(self.kept) % _FIT_EVERY == 0:
+            self._sd_mm = self._fitted_mm()
+        return True
+
+    def state(self) -> WaveState:
+        """How far it is."""
+        cameras = {name: self._camera(name) for name in self.sizes_wh}
+        pairs = {
+            pair: sum(set(pair) <= set(one) for one in self.kept)
+            for pair in combinations(self.sizes_wh, 2)
+        }
+        advice = [*_advice(cameras), *_unconnected(list(cameras), pairs)]
+        return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, tuple(advice))
+
+    def _slip_px(self, name: str, at: Floats, times_s: Mapping[str, float]) -> float:
+        """How far the board moved in this camera while the instant lasted."""
+        lasted_s = max(abs(times_s[name] - other) for other in times_s.values())
+        before_s, before = self._before.get(name, (-np.inf, at))
+        since_s = times_s[name] - before_s
+        if not lasted_s:
+            return 0.0
+        return lasted_s * rms_length(at - before) / since_s if since_s < _RECENT_S else np.inf
+
+    def _is_new(self, name: str, at: Floats) -> bool:
+        least = _NEW_SHARE * float(np.hypot(*self.sizes_wh[name]))
+        return all(rms_length(at - other) > least for other in self._outlines.get(name, ()))
+
+    def _is_blurred(self, seen: tuple[str, Corners]) -> bool:
+        usual = [one[seen[0]].sharpness for one in self.kept if seen[0] in one]
+        return bool(usual) and seen[1].sharpness < _BLURRED_SHARE * float(np.median(usual))
+
+    def _camera(self, name: str) -> CameraWave:
+        width, height = self.sizes_wh[name]
+        pixels = np.concatenate([np.zeros((0, 2)), *(view.pixels for view in self._views(name))])
+        ends = ((0, height), (0, width))
+        cells = np.histogram2d(pixels[:, 1], pixels[:, 0], bins=3, range=ends)[0]
+        tilts, far = np.array(self._poses.get(name, np.zeros((0, 2)))).T
+        return CameraWave(
+            len(far),
+            cells,
+            int(np.sum(tilts > _TILTED_DEG)),
+            float(far.max() / far.min()) if len(far) else np.nan,
+            self._last.get(name, np.nan),
+        )
+
+    def _pose(self, name: str, view: Corners) -> tuple[float, float]:
+        """Tilt in degrees and distance in mm of the board, by an ordinary lens."""
+        width, height = self.sizes_wh[name]
+        matrix = np.diag([_FOCAL * max(width, height)] * 2 + [1.0])
+        matrix[:2, 2] = width / 2, height / 2
+        plain = Intrinsics((width, height), matrix, np.zeros(5))
+        pose = board_pose(plain, self.board.points[view.ids], view.pixels)
+        tilt = float(np.degrees(np.arccos(min(abs(pose.rotation[2, 2]), 1.0))))
+        return tilt, float(np.linalg.norm(pose.translation))
+
+    def _views(self, name: str) -> list[Corners]:
+        return [one[name] for one in self.kept if name in one]
+
+    def _fitted_mm(self) -> float:
+        """The expected error of the body, by the covariance of the views so far."""
+        lenses, points = {}, self.board.points
+        try:
+            for name, size_wh in self.sizes_wh.items():
+                views = choose_views(self.board, self._views(name), size_wh, name, None, ALL_VIEWS)
+                start = start_intrinsics(size_wh, points, views.views)
+                model = LENS_MODELS[2 if len(views.views) > 2 * MIN_VIEWS else 1]
+                fit = fit_lens(start, points, views.views, model, huber=1.0)
+                lenses[name] = LensCalibration(fit, model, {}, (), views)
+            cameras, around = fit_common_views(self.board, lenses)
+            places = workspace_of(cameras, around).grid()
+            poses = [RigidTransform(np.eye(3), place) for place in places]
+            return rms_length(body_pose_sd(cameras, self.body, poses)[0][:, None])
+        except (CalibrationError, DegenerateGeometryError, ValueError):
+            return float("nan")  # too few views, or too much alike
+
+
+def _advice(cameras: Mapping[str, CameraWave]) -> list[str]:
+    """What each camera lacks, the one with the fewest views first."""
+    out = []
+    for name, seen in sorted(cameras.items(), key=lambda item: item[1].views):
+        row, column = np.unravel_index(int(np.argmin(seen.cells)), seen.cells.shape)
+        if not seen.views:
+            out.append(f"{name}: show it the board")
+        elif not seen.cells[row, column]:
+            out.append(f"{name}: {_ROWS[row]} {_COLUMNS[column]}")
+        elif seen.tilts < _TILTS:
+            out.append(f"{name}: tilt more")
+        elif seen.distances < _DISTANCES:
+            out.append(f"{name}: nearer and farther")
+        elif seen.views < _FEWEST:
+            out.append(f"{name}: more views")
+    return out
+
+
+def _unconnected(names: Sequence[str], pairs: Mapping[tuple[str, str], int]) -> list[str]:
+    """Which cameras share too few views with those that hang together."""
+    reached, waiting, out = {*names[:1]}, {*names[1:]}, []
+    while waiting:
+        bridges = [pair for pair in pairs if len(reached & {*pair}) == 1]
+        best = max(bridges, key=lambda pair: pairs[pair])
+        if pairs[best] < _COMMON:
+            out.append(f"{' and '.join(best)}: show it to both")
+        reached |= {*best}
+        waiting -= reached
+    return out

@@ -1,0 +1,64 @@
+"""`measure capture`: pictures of a waved board."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from measure.cli import console
+from measure.cli.console import JsonFlag, OutFile
+from measure.cli.options import CaptureOptions
+
+if TYPE_CHECKING:
+    from measure.calibration import WaveState
+
+_LINE_EVERY_S = 2.0
+
+
+def capture(
+    *cameras: str,
+    board: str,
+    out: OutFile,
+    body: Path | None = None,
+    goal_mm: float = 0.05,
+    capture: CaptureOptions = CaptureOptions(),
+    json: JsonFlag = False,
+) -> int:
+    """Take pictures of a waved board until they are enough.
+
+    Those are kept that add something. They are enough when the calibration they give will let the
+    body's position be known well enough. Lines say what to do next. The exit code is 3 if it ends
+    before that.
+
+    Args:
+        cameras: NAME=ADDRESS each, as for `measure record`.
+        board: the board's target file, or the name of one that comes with the program.
+        out: the capture folder for `measure calibrate`, new or empty.
+        body: body that will be measured; the paper's three-ball body if omitted.
+        goal_mm: expected error of the body's position that is good enough.
+    """
+    from measure import api
+
+    given, last = api.parse_cameras(cameras), [time.monotonic()]
+
+    def tell(state: WaveState) -> None:
+        if time.monotonic() - last[0] >= _LINE_EVERY_S:
+            last[0] = time.monotonic()
+            console.note(f"{state.sentence()}; {', '.join(state.advice[:3])}")
+
+    state = api.capture_board(
+        given, board, out, body=body, goal_mm=goal_mm, request=capture.request(),
+        seconds=capture.seconds, on_state=tell,
+    )  # fmt: skip
+    if json:
+        console.print_json({"capture": out, "state": state})
+    elif state is not None:
+        console.print_table(
+            ("camera", "views", "tilted", "farthest over nearest"),
+            [(name, one.views, one.tilts, one.distances) for name, one in state.cameras.items()],
+        )
+        for line in (*state.advice, state.sentence()):
+            console.print_text(line)
+        console.print_text(f"written to {out}; next: measure calibrate {out} -o calibration.toml")
+    return 0 if state is not None and state.enough else console.UNBELIEVABLE

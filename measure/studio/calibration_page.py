@@ -1,0 +1,163 @@
+"""Calibration: a board is waved until its pictures are enough; then cameras and world from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from nicegui import ui
+
+from measure import api
+from measure.errors import ConfigError
+from measure.studio.bench import Bench, Job
+from measure.studio.layout import choice, chosen, link, page, picture, tried
+
+CALIBRATION = "calibration.toml"
+_ADVISED = 4  # Pieces of advice that are shown at a time
+
+
+@dataclass
+class _Wave:
+    """What was taken and calibrated last; it outlives the browser's page."""
+
+    capture: Path | None = None
+    state: api.WaveState | None = None
+    result: api.CalibrationResult | None = None
+    report: Path | None = None
+    printed: Path | None = None
+
+
+def add(bench: Bench) -> None:
+    """Add the page."""
+    wave = _Wave()
+
+    @ui.page("/calibration", title="Calibration")
+    def calibration() -> None:
+        with page(bench, "/calibration"):
+            _steps(bench, wave)
+            _progress(wave)
+            with ui.element("div").classes("cards"):
+                for one in bench.cameras:
+                    _camera(wave, one.name)
+            _judgement(bench, wave)
+
+
+def _steps(bench: Bench, wave: _Wave) -> None:
+    there = api.contents_of(bench.folder)
+
+    def target() -> Path:
+        return api.shipped_targets().get(board.value) or api.inside(bench.folder, board.value)
+
+    def draw() -> None:
+        wave.printed = api.draw_target(target(), bench.folder / f"{target().stem}.pdf")[1]
+
+    with ui.row().classes("line"):
+        own = [str(file.relative_to(bench.folder)) for file in there.boards]
+        boards = [*own, *api.shipped_targets()]
+        usual = "chessboard_9x6_25"
+        board = ui.select(boards, label="Board", value=own[0] if own else usual).classes("field")
+        ui.button("Draw it", icon="print", on_click=lambda: tried(draw))
+        link("PDF, to print at 100 %", bench, lambda: wave.printed)
+        body = choice("Body to be measured", bench, there.bodies)
+        goal = ui.number("Goal at the body, mm", value=0.05, min=0.001, step=0.01)
+    with ui.row().classes("line"):
+        ui.button("Wave the board", icon="waving_hand", on_click=lambda: tried(take))
+        ui.button("Calibrate", icon="tune", on_click=lambda: tried(calibrate))
+        ui.button("World: the board as it lies", icon="my_location", on_click=lambda: tried(world))
+
+    def take() -> None:
+        cameras, out = bench.addresses(), bench.folder / api.next_free(bench.folder, "capture")
+        given = cameras, target(), out
+
+        def work(job: Job) -> str:
+            wave.capture, wave.state, wave.result = out, None, None
+            last = api.capture_board(
+                *given,
+                body=next(iter(chosen(bench, body)), None),
+                goal_mm=goal.value,
+                on_state=lambda state: setattr(wave, "state", state),
+                on_image=bench.preview.add,
+                stop=job.stop,
+            )
+            return f"{out.name}: {last.sentence() if last else 'no picture came'}"
+
+        bench.begin("watching the board", work, needs_cameras=True)
+
+    def calibrate() -> None:
+        capture = wave.capture or max(bench.folder.glob("capture-*"), default=None)
+        if capture is None:
+            raise ConfigError("there are no pictures of a board yet: wave it first")
+        measured = next(iter(chosen(bench, body)), None)
+
+        def work(job: Job) -> str:
+            out = bench.folder / CALIBRATION
+            wave.result, wave.report = api.calibrate_to(
+                out, capture, body=measured, progress=job.progress
+            )
+            return f"{capture.name} gave {CALIBRATION}; {wave.result.lines()[-1]}"
+
+        bench.begin(f"calibrating {capture.name}", work)
+
+    def world() -> None:
+        out, still = bench.folder / CALIBRATION, bench.folder / api.next_free(bench.folder, "world")
+        bench.preview.write([one.name for one in bench.cameras], still)
+        api.write_calibration(out, api.world_by_board(out, target(), still)[0])
+        bench.begin("moving the world", lambda _: f"{CALIBRATION}: the world is the board's frame")
+
+
+def _progress(wave: _Wave) -> None:
+    advice, bar = (
+        ui.label().classes("figure lines").props("data-advice"),
+        ui.linear_progress(0.0, show_value=False),
+    )
+    bar.props("rounded size=1.2rem")
+    told = ui.label().classes("hint")
+
+    def show() -> None:
+        state = wave.state
+        advice.text = "" if state is None else "\n".join(state.advice[:_ADVISED]) or "enough"
+        told.text = "" if state is None else f"{state.sentence()}; goal {state.goal_mm:g} mm"
+        known = state is not None and state.position_sd_mm > 0
+        bar.value = min(state.goal_mm / state.position_sd_mm, 1.0) if state and known else 0.0
+        bar.set_visibility(state is not None)
+
+    ui.timer(0.3, show)
+
+
+def _camera(wave: _Wave, name: str) -> None:
+    with ui.card():
+        picture(name, 480)
+        with ui.row().classes("line"):
+            with ui.element("div").classes("cells"):
+                cells = [ui.element("div") for _ in range(9)]
+            told = ui.label(name).classes("lines")
+
+    def show() -> None:
+        if wave.state is None or name not in wave.state.cameras:
+            return
+        seen = wave.state.cameras[name]
+        most = max(seen.cells.max(), 1.0)
+        for cell, corners in zip(cells, seen.cells.ravel(), strict=True):
+            cell.style(f"--share: {corners / most:.2f}")
+        others = ", ".join(
+            f"{count} with {' '.join({*pair} - {name})}"
+            for pair, count in wave.state.pairs.items()
+            if name in pair
+        )
+        told.text = (
+            f"{name}: {seen.views} pictures, {seen.tilts} tilted\n"
+            f"farthest {seen.distances:.1f} times the nearest, sharpness {seen.sharpness:.2f}\n"
+            f"{others}"
+        )
+
+    ui.timer(0.5, show)
+
+
+def _judgement(bench: Bench, wave: _Wave) -> None:
+    lines = ui.label().classes("lines").props("data-judgement")
+    link("Report of the calibration, with the cameras in 3-D", bench, lambda: wave.report)
+
+    def show() -> None:
+        lines.text = "" if wave.result is None else "\n".join(wave.result.lines())
+
+    ui.timer(1.0, show)

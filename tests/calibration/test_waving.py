@@ -1,0 +1,105 @@
+"""Pictures of a waved board that are taken by themselves."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from measure.calibration import BoardWave, Corners
+from measure.geometry import RigidTransform
+from measure.model import paper_body
+from tests.studio.waved import SIZE_WH, board, corners, rig, waved
+
+NOISE_PX = 0.05
+CAMERAS = rig()
+NAMES = [camera.name for camera in CAMERAS]
+
+
+def seen(time_s, rng, sharpness=0.4):
+    """What the cameras see of the waved board at a time: the corners inside their pictures."""
+    views = {}
+    for camera in CAMERAS:
+        at = corners(camera, waved(time_s))
+        ids = np.flatnonzero(camera.intrinsics.contains(at))
+        if len(ids) > 10:
+            noisy = at[ids] + rng.normal(0, NOISE_PX, (len(ids), 2))
+            views[camera.name] = Corners(ids, noisy, sharpness, "")
+    return views
+
+
+def wave_of(goal_mm=0.2):
+    return BoardWave(board(), dict.fromkeys(NAMES, SIZE_WH), paper_body(), goal_mm)
+
+
+def at_once(views, time_s):
+    return dict.fromkeys(views, time_s)
+
+
+def test_it_stops_asking_when_it_is_good_enough(rng):
+    """And asks for everything before, in an order that can be followed."""
+    wave, asked = wave_of(), []
+    assert wave.state().advice[:2] == ("cam0: show it the board", "cam1: show it the board")
+    for time_s in np.arange(0.0, 120.0, 0.5):
+        views = seen(time_s, rng)
+        wave.add(views, at_once(views, time_s))
+        state = wave.state()
+        asked += state.advice
+        if state.enough:
+            break
+    assert state.enough
+    assert state.position_sd_mm <= 0.2
+    told = {words.split(": ")[1] for words in asked}
+    assert "show it to both" in told
+    assert any("left" in words or "right" in words for words in told)
+    assert len(wave.kept) < 60
+    assert all(one.views >= 8 and one.tilts >= 4 for one in state.cameras.values())
+
+
+def test_the_same_view_again_adds_nothing(rng):
+    wave, first = wave_of(), seen(0.0, rng)
+    assert wave.add(first, at_once(first, 0.0))
+    again = seen(0.0, rng)
+    assert not wave.add(again, at_once(again, 1.0))
+    assert not wave.add({}, {})
+
+
+def test_a_board_that_is_never_tilted_is_to_be_tilted(rng):
+    """Parallel to the picture, all over it, nearer and farther: tilt is what is missing."""
+    wave, camera = wave_of(), CAMERAS[0]
+    for number, (u, v, z) in enumerate(product((-140, 0, 140), (-110, 0, 110), (400, 600))):
+        turn = np.eye(3)
+        place = np.array([u, v, z]) - board().points.mean(axis=0)
+        at = camera.project(
+            (camera.world_from_camera @ RigidTransform(turn, place)).apply(board().points)
+        )
+        ids = np.flatnonzero(camera.intrinsics.contains(at))
+        wave.add({"cam0": Corners(ids, at[ids], 0.4)}, {"cam0": float(number)})
+    assert "cam0: tilt more" in wave.state().advice
+
+
+def test_a_blurred_view_is_not_kept(rng):
+    wave, first = wave_of(), seen(0.0, rng)
+    assert wave.add(first, at_once(first, 0.0))
+    blurred, sharp = seen(4.0, rng, sharpness=0.1), seen(4.0, rng)
+    assert not wave.add(blurred, at_once(blurred, 4.0))
+    assert wave.add(sharp, at_once(sharp, 4.0))
+
+
+@pytest.mark.parametrize(("apart_s", "kept"), [(0.0, 1), (1e-3, 1), (0.016, 0)])
+def test_cameras_out_of_step_wait_till_the_board_rests(rng, apart_s, kept):
+    """Pictures of a moving board, taken apart, do not show one board; of a resting one they do."""
+    wave = wave_of()
+
+    def offer(board_s, time_s):
+        views = seen(board_s, rng)
+        return wave.add(views, {name: time_s + apart_s * (name == "cam1") for name in views})
+
+    offer(1.0, 1.0)
+    moving = offer(1.1, 1.1)
+    assert len(wave.kept) == (1 if apart_s == 0 else kept)
+    assert moving == (apart_s > 0 and bool(kept))
+    resting = [offer(1.1, time_s) for time_s in (1.2, 1.3)]
+    assert len(wave.kept) == 1
+    assert any(resting) == (not kept)

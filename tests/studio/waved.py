@@ -1,0 +1,78 @@
+"""A board that is waved before cameras without distortion: drawn by its homography, exactly."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from measure.api import shipped_targets
+from measure.arrays import Bytes, Floats
+from measure.calibration import Charuco, read_board
+from measure.geometry import RigidTransform
+from measure.model import Camera, Intrinsics
+
+TARGET = "charuco_8x5_27"
+SIZE_WH = (640, 480)
+_PX_PER_MM, _FINER = 4, 3
+
+
+def board() -> Charuco:
+    """A board whose views count in part, too."""
+    found = read_board(shipped_targets()[TARGET])
+    assert isinstance(found, Charuco)
+    return found
+
+
+def rig(azimuths_deg: tuple[float, ...] = (60, 120)) -> tuple[Camera, ...]:
+    """Cameras at 520 mm from the middle, looking down at it from one side."""
+    out = []
+    for number, azimuth in enumerate(np.deg2rad(azimuths_deg)):
+        center = np.array([330 * np.cos(azimuth), 330 * np.sin(azimuth), 400.0])
+        forward = -center / np.linalg.norm(center)
+        right = np.cross(forward, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        turn = np.column_stack([right, np.cross(forward, right), forward])
+        matrix = np.array([[700.0 + 9 * number, 0, 322], [0, 703, 236], [0, 0, 1]])
+        lens = Intrinsics(SIZE_WH, matrix, np.zeros(5))
+        out.append(Camera(f"cam{number}", lens, RigidTransform(turn, center)))
+    return tuple(out)
+
+
+def waved(time_s: float) -> RigidTransform:
+    """world_from_board: it wanders about the middle, tilts to all sides, faces up."""
+    t = time_s
+    middle = [130 * np.sin(0.9 * t), 95 * np.sin(0.61 * t + 1), -20 + 70 * np.sin(0.37 * t)]
+    tilt = np.deg2rad(38) * np.sin(0.7 * t + 0.3)
+    axis = np.array([np.cos(0.5 * t), np.sin(0.5 * t), 0.0])
+    over = RigidTransform.from_rotvec(np.array([np.pi, 0, 0])).rotation
+    turn = RigidTransform.from_rotvec(tilt * axis).rotation @ over
+    return RigidTransform(turn, np.array(middle) - turn @ board().points.mean(axis=0))
+
+
+def corners(camera: Camera, world_from_board: RigidTransform) -> Floats:
+    """Where the board's corners appear (n, 2)."""
+    return camera.project(world_from_board.apply(board().points))
+
+
+def picture(camera: Camera, world_from_board: RigidTransform, rng: np.random.Generator) -> Bytes:
+    """What the camera sees, with the blur of a lens and the noise of a sensor."""
+    camera_from_board = camera.world_from_camera.inverse() @ world_from_board
+    size_mm = np.array(board().squares) * board().square_mm
+    wh = tuple((size_mm * _PX_PER_MM).astype(int).tolist())
+    sheet = cv2.copyMakeBorder(
+        board().pattern.generateImage(wh), *[40 * _PX_PER_MM] * 4, cv2.BORDER_CONSTANT, value=255
+    )
+    to_mm = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, _PX_PER_MM]]) / _PX_PER_MM
+    to_mm[:2, 2] -= 40.0
+    plane = np.column_stack([camera_from_board.rotation[:, :2], camera_from_board.translation])
+    finer = np.diag([_FINER, _FINER, 1.0])
+    finer[:2, 2] = (_FINER - 1) / 2
+    seen = cv2.warpPerspective(
+        cv2.blur(sheet, (3, 3)),
+        finer @ camera.intrinsics.matrix @ plane @ to_mm,
+        (_FINER * SIZE_WH[0], _FINER * SIZE_WH[1]),
+        borderValue=110,
+    )
+    small = cv2.resize(seen, SIZE_WH, interpolation=cv2.INTER_AREA)
+    levels = 30 + 0.75 * cv2.GaussianBlur(small, (0, 0), 0.6) + rng.normal(0, 1.5, small.shape)
+    return np.dstack([np.clip(levels, 0, 255).astype(np.uint8)] * 3)
