@@ -9,12 +9,11 @@ from itertools import combinations
 import numpy as np
 
 from measure.arrays import Floats, rms_length
-from measure.calibration.board_views import board_pose, fit_lens, start_intrinsics
+from measure.calibration.board_views import LENS_MODELS, board_pose, fit_lens, start_intrinsics
 from measure.calibration.boards import Board, Corners
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.findings import workspace_of
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.lens import LENS_MODELS
 from measure.calibration.views import ALL_VIEWS, MIN_VIEWS, choose_views, outline
 from measure.errors import CalibrationError, DegenerateGeometryError
 from measure.estimation.expected_accuracy import body_pose_sd
