@@ -9,12 +9,16 @@ stops reading for so many seconds in the middle: the others must not notice.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
+import multiprocessing
 import os
 import socket
+import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -22,7 +26,9 @@ from typing import Any
 
 import numpy as np
 
+from measure import api
 from measure.geometry import RigidTransform
+from measure.host import Registry
 from measure.measuring import Measurement, Status
 from measure.model import Ball, BallColor, Body, Camera, Intrinsics, Pose
 from measure.results import Provenance, RunWriter
@@ -268,3 +274,86 @@ def address(scheme: str) -> str:
         return f"zenoh:triball?connect=tcp/{HOST}:{free_port()}"
     kind = socket.SOCK_DGRAM if scheme == "udp" else socket.SOCK_STREAM
     return f"{scheme}://{HOST}:{free_port(kind)}"
+
+
+def _receive(address: str, over: Any, ready: Any, out: Any) -> None:
+    """A process that receives, and hands on what it got."""
+    scheme = address.partition(":")[0]
+    ready.set()
+    out.put([*CLIENTS[scheme](address, over.is_set)])
+
+
+def _stall(address: str, begin_s: float, seconds: float, over: Any) -> None:
+    """A client of a server that reads, stops reading for a while, and reads again."""
+    host, _, port = address.rpartition("://")[2].partition(":")
+    with suppress(OSError):
+        while not over.is_set():
+            with (
+                suppress(ConnectionRefusedError),
+                socket.create_connection((host, int(port))) as one,
+            ):
+                until_s = time.monotonic() + begin_s
+                while not over.is_set() and one.recv(65_536):
+                    if time.monotonic() > until_s:
+                        time.sleep(seconds)
+                        until_s = float("inf")
+            time.sleep(0.05)
+
+
+def rows(schemes: Sequence[str], poses: int, rate_hz: float, stall_s: float) -> Iterator[list[str]]:
+    """A row for each sink: received, largest difference, and delays in ms."""
+    context = multiprocessing.get_context("spawn")
+    over, results = context.Event(), []
+    with tempfile.TemporaryDirectory() as scratch:
+        run = write_run(Path(scratch) / "run", poses, rate_hz)
+        addresses = [address(scheme) for scheme in schemes]
+        for one in addresses:
+            ready, out = context.Event(), context.Queue()
+            context.Process(target=_receive, args=(one, over, ready, out), daemon=True).start()
+            results.append(out)
+            ready.wait(60.0)
+        if stall_s and "igtl" in schemes:
+            where = addresses[schemes.index("igtl")]
+            begin_s = poses / rate_hz / 2
+            args = (where, begin_s, stall_s, over)
+            context.Process(target=_stall, args=args, daemon=True).start()
+        options = api.PlayOptions(send=tuple(addresses), wait_s=5.0)
+        end = api.play(run, Registry.discover(), options)
+        time.sleep(2.0)
+        over.set()
+        (places,) = stored(run).values()
+        for scheme, out in zip(schemes, results, strict=True):
+            yield _row_of(scheme, out.get(timeout=60.0), places)
+        print(f"play itself was {1e3 * end.late_s:.1f} ms late at most")
+
+
+def _row_of(
+    scheme: str, received: Sequence[Received], places: Sequence[tuple[float, ...] | None]
+) -> list[str]:
+    wanted = [place for place in places if place is not None]
+    got = [one for one in received if one.place is not None]
+    same = min(len(got), len(wanted))
+    off = np.abs(np.array([one.place for one in got[:same]]) - np.array(wanted[:same]))
+    late_ms = 1e3 * np.array([one.arrived_s - one.exposed_s for one in got])
+    p50, p99, most = (float(np.percentile(late_ms, q)) for q in (50, 99, 100))
+    share = float(np.mean(late_ms < 5.0))
+    numbers = f"{off.max():.1e}", f"{p50:.2f}", f"{p99:.2f}", f"{most:.1f}", f"{100 * share:.2f}"
+    return [scheme, f"{len(got)} of {len(wanted)}", *numbers]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("sinks", nargs="*", default=[*CLIENTS])
+    parser.add_argument("--poses", type=int, default=10_000)
+    parser.add_argument("--rate", type=float, default=100.0)
+    parser.add_argument("--stall", type=float, default=0.0)
+    given = parser.parse_args()
+    head = ["sink", "poses received", "largest difference", "median ms", "99 % ms", "most ms"]
+    print(" | ".join([*head, "% within 5 ms"]))
+    for row in rows(given.sinks, given.poses, given.rate, given.stall):
+        print(" | ".join(row))
+
+
+if __name__ == "__main__":
+    main()

@@ -47,7 +47,7 @@ def check_same(received, run, relative_error=0.0, lost_too=True):
     for stream, all_places in stored(run).items():
         places = [one for one in all_places if lost_too or one is not None]
         mine = [one.place for one in received if one.stream == stream]
-        assert len(mine) == len(places), stream
+        assert len(mine) == len(places), (stream, len(mine), len(places))
         for one, other in zip(mine, places, strict=True):
             assert (one is None) == (other is None)
             if other is not None:

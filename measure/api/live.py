@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from measure.api.folders import mark_event
+from measure.api.marks import marks_received
 from measure.api.measuring import measure_frame_sets
 from measure.api.profiles import RUN_FILE, build_pipeline
 from measure.api.recording import (
@@ -28,7 +30,7 @@ from measure.api.recording import (
 )
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
-from measure.api.sending import SendOptions, SentCount, open_sending, sent_pose
+from measure.api.sending import SendOptions, open_sending, sent_pose
 from measure.api.warming_up import warm_pipeline
 from measure.capture import (
     CameraAddress,
@@ -41,7 +43,7 @@ from measure.capture import (
 )
 from measure.capture.controls import watched
 from measure.errors import ConfigError, RunError
-from measure.host import Registry, SentPose, SentRun
+from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.measuring import Measurement, Profile, burn_in, relative_measurements
 from measure.model import FrameSet, Image
 from measure.processes import share_heaps
@@ -62,6 +64,7 @@ class LiveOptions(LogOptions, SendOptions):
     reference: str = ""  # name of the body that others are measured relative to; empty without one
     on_image: Callable[[Image], None] | None = None  # called with every picture
     stop: Event | None = None  # set to end it; interrupts set it, too
+    marks: tuple[str, ...] = ()  # where event marks come from, see `marks_received`
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class LiveEnd:
     state: LiveState | None  # at the end; None if there was no frame set
     changes: tuple[str, ...] = ()  # a sentence for each control of a camera that changed meanwhile
     # what came of the poses for each address.
-    sent: Mapping[str, SentCount] = field(default_factory=dict)
+    sent: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
 
 def live(
@@ -151,6 +154,12 @@ def live(
             takers.append(stack.enter_context(Recorder(options.record, *given)).add)
         stack.enter_context(sending)
         outputs = _LiveOutputs(stack, out, made_from, sent, options)
+
+        def on_mark(time_s: float, what: str) -> None:
+            mark_event(out, what, time_s)
+            sending.send((), [EventMark(time_s, time_s, what)])
+
+        stack.enter_context(marks_received(options.marks, rig.clock_s, on_mark))
         rig.begin(takers)
         frame_sets = _frame_sets(gathering, rig, stop, options.seconds)
         build = partial(build_pipeline, profile, registry)
@@ -160,8 +169,7 @@ def live(
         state, watch = None, _PaceMeter(gathering, rig)
         for frame_set, found in measure_frame_sets(pipelines, frame_sets()):
             known = [_with_away(each, rig.away) for each in found]
-            sending.send(_sent_poses(sent, known))
-            sending.show(frame_set.images)
+            sending.send(_sent_poses(sent, known), images=frame_set.images)
             outputs.add(frame_set, known)
             state = watch.state(known)
             if on_state is not None:

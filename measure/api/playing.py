@@ -16,20 +16,20 @@ from threading import Event
 import numpy as np
 import pyarrow as pa
 
+from measure.api.folders import events
 from measure.api.recording import until_stopped
 from measure.api.run_log import LogOptions
-from measure.api.sending import SendOptions, SentCount, open_sending
+from measure.api.sending import SendOptions, open_sending
 from measure.arrays import Floats
 from measure.errors import ConfigError, RunError
 from measure.geometry import RigidTransform
-from measure.host import Registry, SentPose, SentRun
+from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.measuring import Measurement, Status
 from measure.model import BallPosition, Pose
-from measure.model.pose_columns import PLACE
 from measure.results import Run, read_runs
 from measure.results.journal import is_missing
 from measure.results.stored import rows_of_body
-from measure.results.tables import BODY, matrices, numbers
+from measure.results.tables import BODY, PLACE, matrices, numbers
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class PlayEnd:
 
     frame_sets: int  # how many were played
     late_s: float  # the most by which one came after its turn
-    sent: Mapping[str, SentCount]  # what came of the poses for each address
+    sent: Mapping[str, Mapping[str, int]]  # what came of the poses for each address
 
 
 def play(
@@ -78,7 +78,9 @@ def play(
         for number, due_s in _turns(reel.times_s, options):
             if stop.wait(max(begun + due_s - time.monotonic(), 0.0)):
                 break
-            sending.send(reel.poses(number, since_1970 + begun + due_s))
+            exposed_s = since_1970 + begun + due_s
+            marks = reel.marks(number, exposed_s, options.rate)
+            sending.send(reel.poses(number, exposed_s), marks)
             late_s = max(late_s, time.monotonic() - begun - due_s)
             show(number)
             played += 1
@@ -122,6 +124,7 @@ class _Reel:
             for name in dict.fromkeys(table[BODY].to_pylist()):
                 self._tracks.append(_Track(rows_of_body(table, name), name, reference))
         bodies = tuple(run.body for run in runs)
+        self._marks = sorted(events(first.path))
         self.run = SentRun(first.path.resolve().name, bodies, first.cameras, reference)
 
     @cached_property
@@ -140,6 +143,16 @@ class _Reel:
     def poses(self, number: int, exposed_s: float) -> list[SentPose]:
         """The poses of a frame set."""
         return [track.sent(number, exposed_s) for track in self._tracks]
+
+    def marks(self, number: int, exposed_s: float, rate: float) -> list[EventMark]:
+        """The event marks since the frame set before."""
+        before_s = self.times_s[number - 1] if number else -math.inf
+        now_s = float(self.times_s[number])
+        return [
+            EventMark(time_s, exposed_s + (time_s - now_s) / rate, what)
+            for time_s, what in self._marks
+            if before_s < time_s <= now_s
+        ]
 
     def measurements(self, number: int) -> list[Measurement]:
         """The measurements of a frame set, without what its pictures showed."""

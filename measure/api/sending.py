@@ -33,14 +33,6 @@ class SendOptions:
     note: Callable[[str], None] = print  # takes lines about them, from other threads
 
 
-@dataclass(frozen=True)
-class SentCount:
-    """What came of the poses for one sink."""
-
-    sent: int
-    lost: int  # to some receiver, where there are several
-
-
 def open_sending(options: SendOptions, registry: Registry, run: SentRun) -> Sending:
     """What sends the poses of a run where it is told to.
 
@@ -67,10 +59,12 @@ def open_sending(options: SendOptions, registry: Registry, run: SentRun) -> Send
 def _build(text: str, settings: Mapping[str, Any], registry: Registry, run: SentRun) -> Sink:
     scheme, _, rest = text.partition(":")
     address, _, query = rest.removeprefix("//").partition("?")
-    sinks = [item for item in registry.loaded if item.kind == "sink"]
-    known = [*registry.names("sink"), *(item.name for item in registry.broken)]
-    forms = f"--send takes {', '.join(sorted({getattr(one.plugin, 'form', '') for one in sinks}))}"
-    if scheme not in known or not rest:
+    known = [registry.find("sink", name).plugin for name in registry.names("sink")]
+    forms = f"--send takes {', '.join(getattr(one, 'form', '') for one in known)}"
+    if (
+        scheme not in [one.name for one in known] + [one.name for one in registry.broken]
+        or not rest
+    ):
         raise ConfigError(f"--send {text}: no sink is called so; {forms}")
     try:
         return registry.sink(scheme, {**settings, **dict(parse_qsl(query))}, address, run)
@@ -78,21 +72,10 @@ def _build(text: str, settings: Mapping[str, Any], registry: Registry, run: Sent
         raise ConfigError(f"--send {text}: {problem}; {forms}") from None
 
 
-def sent_pose(
-    measured: Measurement, body: str, reference: str = "", exposed_s: float | None = None
-) -> SentPose:
-    """A measurement as sinks get it; exposed when its own clock says unless that is given."""
-    return SentPose(
-        body,
-        reference,
-        measured.index,
-        measured.time_s,
-        measured.time_s if exposed_s is None else exposed_s,
-        time.time(),
-        measured.status.value,
-        measured.doubts,
-        measured.pose,
-    )
+def sent_pose(measured: Measurement, body: str, reference: str = "") -> SentPose:
+    """A measurement of pictures that were taken when its clock says, as sinks get it."""
+    head = body, reference, measured.index, measured.time_s, measured.time_s, time.time()
+    return SentPose(*head, measured.status.value, measured.doubts, measured.pose)
 
 
 class Sending:
@@ -120,32 +103,29 @@ class Sending:
         for one in self._outlets:
             one.thread.join(max(until_s - time.monotonic(), 0.0))
         for address, count in self.counts.items():
-            self._note(f"{address}: {count.sent} poses sent, {count.lost or 'none'} lost")
+            self._note(f"{address}: {count['sent']} poses sent, {count['lost'] or 'none'} lost")
 
     @property
-    def counts(self) -> dict[str, SentCount]:
-        """What came of the poses so far, by address; those that wait count as lost."""
-        return {
-            one.address: SentCount(one.sent, one.lost + one.waiting.qsize())
-            for one in self._outlets
-        }
+    def counts(self) -> dict[str, dict[str, int]]:
+        """By address, how many poses were `sent` so far, and `lost`; those that wait count so."""
+        sent = {one.address: one.sent for one in self._outlets}
+        lost = {one.address: one.lost + one.waiting.qsize() for one in self._outlets}
+        return {address: {"sent": sent[address], "lost": lost[address]} for address in sent}
 
-    def send(self, poses: Sequence[SentPose]) -> None:
-        """Send the poses of a frame set, without waiting."""
+    def send(
+        self,
+        poses: Sequence[SentPose],
+        marks: Sequence[EventMark] = (),
+        images: Mapping[str, Image] | None = None,
+    ) -> None:
+        """Send poses and marks, without waiting; pictures where nothing else waits."""
         for one in self._outlets:
+            if images and one.sink.takes_pictures and one.waiting.empty():
+                one.put(one.sink.send_pictures, images)
+            for mark in marks:
+                one.put(one.sink.send_mark, mark)
             for pose in poses:
                 one.put(one.sink.send, pose)
-
-    def mark(self, mark: EventMark) -> None:
-        """Send an event mark, without waiting."""
-        for one in self._outlets:
-            one.put(one.sink.send_mark, mark)
-
-    def show(self, images: Mapping[str, Image]) -> None:
-        """Send the pictures of a frame set where they are wanted and nothing else waits."""
-        for one in self._outlets:
-            if one.sink.takes_pictures and one.waiting.empty():
-                one.put(one.sink.send_pictures, images)
 
 
 class _Outlet:

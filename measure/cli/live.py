@@ -40,12 +40,14 @@ class _DestinationOptions:
         overwrite: throw an earlier run in the folder away.
         record: a session folder, new or empty, to record the pictures into as well.
         send: where every pose is sent, such as udp://127.0.0.1:5005; may be repeated.
+        marks: where event marks come from, udp://:PORT or lsl:NAME; may be repeated.
     """
 
     out: OutFile
     overwrite: bool = False
     record: Path | None = None
     send: tuple[str, ...] = ()
+    marks: tuple[str, ...] = ()
 
 
 def live(
@@ -78,6 +80,7 @@ def live(
     options = api.LiveOptions(
         record=to.record,
         send=to.send,
+        marks=to.marks,
         sink_settings=ours,
         note=console.note,
         seconds=capture.seconds,

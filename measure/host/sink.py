@@ -13,7 +13,11 @@ from measure.errors import ConfigError
 from measure.host.interfaces import Plugin
 from measure.host.settings import Settings
 from measure.model import Body, Camera, Image, Pose
-from measure.model.pose_columns import pose_columns
+
+PLACE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+"""The columns of a pose; the first three are those of any place."""
+QUALITY = ("position_sd_mm", "rotation_sd_deg", "residual_mm", "rms_px")
+"""Those that say how good it is."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -109,6 +113,24 @@ class Sink(Plugin):
 
     def close(self) -> None:
         """Disconnect; whether it was opened or not."""
+
+
+def pose_columns(pose: Pose | None) -> dict[str, Any]:
+    """A pose as columns of `poses.parquet`; NaN without one."""
+    if pose is None:
+        return dict.fromkeys((*PLACE, *QUALITY), float("nan"))
+    place = (*pose.world_from_body.translation, *pose.world_from_body.quat_wxyz)
+    return {
+        **dict(zip(PLACE, map(float, place), strict=True)),
+        "covariance": pose.covariance.ravel(),
+        "position_sd_mm": pose.position_sd_mm,
+        "rotation_sd_deg": pose.rotation_sd_deg,
+        "residual_mm": float(pose.residual_mm),
+        "rms_px": float(pose.rms_px),
+        "cameras": pose.cameras,
+        "balls": pose.balls,
+        "flags": pose.flags,
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -13,11 +13,11 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from measure.arrays import Floats, Ints
+from measure.host.sink import PLACE as PLACE
+from measure.host.sink import QUALITY as QUALITY
+from measure.host.sink import pose_columns
 from measure.measuring import Measurement
 from measure.model import BallView
-from measure.model.pose_columns import PLACE as PLACE
-from measure.model.pose_columns import QUALITY as QUALITY
-from measure.model.pose_columns import pose_columns
 
 _F, _I, _S = pa.float64(), pa.int32(), pa.string()
 _FRAME = pa.int64()  # Pictures may be numbered by the microseconds since 1970

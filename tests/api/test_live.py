@@ -17,6 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.sinks import free_port
+from measure.api import events
 from measure.api import run as measure_run
 from measure.api.profiles import load_profile
 from measure.cli import main
@@ -109,6 +111,13 @@ class Receiver:
                 continue
 
 
+def mark_after(receiver, port):
+    """Tell of an event once there are poses."""
+    receiver.wait_for(3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as lab:
+        lab.sendto(b"grasped", ("127.0.0.1", port))
+
+
 @pytest.mark.slow
 def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
     """And they are sent on, recorded with their pictures, and right."""
@@ -117,6 +126,11 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
         receiver = Receiver(stack)
         addresses = stack.enter_context(serving(cameras))
         more = ("--seconds", "12", "--send", f"udp://127.0.0.1:{receiver.port}", "--record", kept)
+        lab = free_port(socket.SOCK_DGRAM)
+        more = (*more, "--marks", f"udp://127.0.0.1:{lab}")
+        thread = threading.Thread(target=mark_after, args=(receiver, lab))
+        thread.start()
+        stack.callback(thread.join)
         assert main([*words("live", session, addresses, run, *more), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["frame_sets"] >= 15
@@ -125,8 +139,14 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
     poses = rows(run)
     errors = errors_mm(poses, cameras, session)
     assert np.sqrt(np.mean(errors**2)) < 0.06
-    assert len(receiver.received) == told["frame_sets"]
-    for sent, (time_s, *place) in zip(receiver.received, poses, strict=True):
+    ((marked_s, what),) = events(run)
+    assert what == "grasped"
+    assert poses[0][0] < marked_s < poses[-1][0] + 5 * PERIOD_S
+    sent_on = [one for one in receiver.received if "mark" in one]
+    assert [one["mark"] for one in sent_on] == ["grasped"]
+    received = [one for one in receiver.received if "mark" not in one]
+    assert len(received) == told["frame_sets"]
+    for sent, (time_s, *place) in zip(received, poses, strict=True):
         assert sent["time_s"] == pytest.approx(time_s, abs=1e-6)
         assert [sent[axis] for axis in ("x_mm", "y_mm", "z_mm")] == pytest.approx(place, abs=1e-6)
         assert np.reshape(sent["covariance"], (6, 6)).diagonal().min() > 0

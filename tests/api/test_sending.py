@@ -65,10 +65,10 @@ def test_a_sink_that_stalls_costs_the_others_nothing():
         wait_for(lambda: slow.got[-1:] == [999])
         send(sending, [1000])
         wait_for(lambda: slow.got[-1:] == [1000])
-    lost = sending.counts["slow"].lost
+    lost = sending.counts["slow"]["lost"]
     assert 0 < lost == 1001 - len(slow.got)
     assert slow.got[-200:] == list(range(801, 1001))  # the newest are kept
-    assert sending.counts["quick"].lost == 0
+    assert sending.counts["quick"]["lost"] == 0
     assert [line for line in lines if line.startswith("slow")] == [
         "slow: it does not keep up; its poses are lost until that is mended",
         f"slow: works again; {lost} poses were lost",
@@ -127,7 +127,7 @@ def test_the_end_does_not_wait_for_a_sink_that_hangs(monkeypatch):
         send(sending, range(10))
     assert time.monotonic() - begun < 2.0
     assert lines[-1].startswith("it: 0 poses sent, ")
-    assert sending.counts["it"].lost >= 9
+    assert sending.counts["it"]["lost"] >= 9
     sink.go_on.set()
 
 
@@ -141,5 +141,5 @@ def test_a_receiver_among_several_that_is_behind_is_told(undelivered):
             sink.undelivered += 1
             send(sending, [1])
             wait_for(lambda: len(sink.got) == 1 + sink.undelivered)
-    assert sending.counts["it"].lost == undelivered
+    assert sending.counts["it"]["lost"] == undelivered
     assert any("it does not keep up" in line for line in lines) == bool(undelivered)

@@ -34,35 +34,31 @@ class FoxgloveSink(Sink):
 
     def prepare(self) -> None:
         """Read the address and load the libraries."""
-        self._place = host_port(self.address)
+        self._place = dict(zip(("host", "port"), host_port(self.address), strict=True))
         self._foxglove = needed("foxglove", "foxglove")
         self._messages = needed("foxglove.messages", "foxglove")
         self._channels = needed("foxglove.channels", "foxglove")
         self._server: Any = None
-        self._context: Any = None
         self._topics: dict[str, Any] = {}
         self._pictured_s = -math.inf
 
     def open(self) -> None:
         """Listen."""
-        host, port = self._place
-        self._topics, self._context = {}, self._foxglove.Context()
-        self._server = self._foxglove.start_server(
-            name=f"triball {self.run.name}",
-            host=host,
-            port=port,
-            message_backlog_size=self.config.backlog,
-            context=self._context,
-        )
-        for body, reference in self.run.streams:
-            self._topic(_topic(body, reference), self._foxglove.Channel)
-        self._topic("/tf", self._channels.FrameTransformChannel)
-        self._topic("/marks", self._channels.LogChannel)
+        make, kinds = self._foxglove.Channel, self._channels
+        self._context = context = self._foxglove.Context()  # channels live as long as it
+        known = {"message_backlog_size": self.config.backlog, "context": context}
+        self._server = self._foxglove.start_server(name=self.run.name, **self._place, **known)
+        made = [make(_topic(*stream), context=context) for stream in self.run.streams]
+        made += [kinds.FrameTransformChannel("/tf", context=context)]
+        made += [kinds.LogChannel("/marks", context=context)]
+        for camera in self.run.cameras:
+            made += [kinds.CompressedImageChannel(f"/{camera.name}/image", context=context)]
+        self._topics = {one.topic(): one for one in made}
 
     def send(self, pose: SentPose) -> None:
         """The columns of the pose, and its transform if there is one."""
         topic = _topic(pose.body, pose.reference)
-        self._log(topic, self._foxglove.Channel, pose.exposed_s, pose.plain())
+        self._log(topic, pose.exposed_s, pose.plain())
         if pose.pose is None:
             return
         x, y, z = (pose.pose.world_from_body.translation / 1000).tolist()
@@ -75,34 +71,26 @@ class FoxgloveSink(Sink):
             translation=self._messages.Vector3(x=x, y=y, z=z),
             rotation=self._messages.Quaternion(x=qx, y=qy, z=qz, w=qw),
         )
-        self._log("/tf", self._channels.FrameTransformChannel, pose.exposed_s, transform)
+        self._log("/tf", pose.exposed_s, transform)
 
     def send_mark(self, mark: EventMark) -> None:
         """A line of the log."""
-        stamp, level = self._stamp(mark.marked_s), self._messages.LogLevel.Info
-        line = self._messages.Log(timestamp=stamp, level=level, message=mark.text, name="mark")
-        self._log("/marks", self._channels.LogChannel, mark.marked_s, line)
+        line = self._messages.Log(timestamp=self._stamp(mark.marked_s), message=mark.text)
+        self._log("/marks", mark.marked_s, line)
 
     def send_pictures(self, images: Mapping[str, Image]) -> None:
         """Small pictures, if their turn has come."""
-        if not images:
-            return
-        time_s = next(iter(images.values())).time_s
+        time_s = max((image.time_s for image in images.values()), default=-math.inf)
         if time_s - self._pictured_s < 1 / self.config.picture_rate_hz:
             return
-        self._pictured_s = time_s
+        self._pictured_s, width_px = time_s, self.config.picture_width_px
         for name, image in images.items():
             height, width = image.pixels.shape[:2]
-            size = self.config.picture_width_px, self.config.picture_width_px * height // width
-            small = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
-            picture = self._messages.CompressedImage(
-                timestamp=self._stamp(image.time_s),
-                frame_id=name,
-                data=cv2.imencode(".jpg", small)[1].tobytes(),
-                format="jpeg",
-            )
-            kind = self._channels.CompressedImageChannel
-            self._log(f"/{name}/image", kind, image.time_s, picture)
+            size = width_px, max(width_px * height // width, 1)
+            jpeg = cv2.imencode(".jpg", cv2.resize(image.pixels, size))[1].tobytes()
+            known = {"timestamp": self._stamp(image.time_s), "frame_id": name, "format": "jpeg"}
+            picture = self._messages.CompressedImage(data=jpeg, **known)
+            self._log(f"/{name}/image", image.time_s, picture)
 
     def close(self) -> None:
         """End the connections."""
@@ -110,14 +98,9 @@ class FoxgloveSink(Sink):
             self._server.stop()
         self._server = None
 
-    def _topic(self, topic: str, kind: Any) -> Any:
-        """A topic, which clients see from its first use on."""
-        if topic not in self._topics:
-            self._topics[topic] = kind(topic, context=self._context)
-        return self._topics[topic]
-
-    def _log(self, topic: str, kind: Any, time_s: float, message: Any) -> None:
-        self._topic(topic, kind).log(message, log_time=round(time_s * 1e9))
+    def _log(self, topic: str, time_s: float, message: Any) -> None:
+        if topic in self._topics:
+            self._topics[topic].log(message, log_time=round(time_s * 1e9))
 
     def _stamp(self, time_s: float) -> Any:
         return self._messages.Timestamp(*divmod(round(time_s * 1e9), 10**9))

@@ -8,6 +8,8 @@ from measure.errors import ConfigError
 from measure.host import SentPose, Settings, Sink, hookimpl, needed, setting
 from measure.robots.ros_messages import POSE, RosMessages, topic_name
 
+_DROP = "transport/link/tx/queue/congestion_control/drop"  # In the configuration of Zenoh
+
 
 class ZenohSettings(Settings):
     """Settings of the `zenoh` sink."""
@@ -20,7 +22,7 @@ class ZenohSettings(Settings):
 class ZenohSink(Sink):
     """PoseWithCovarianceStamped on KEY/BODY/pose and TFMessage on tf, in metres, as CDR.
 
-    Frame sets without a pose are not sent.
+    Frame sets without a pose are not sent. Who does not keep up loses messages, uncounted.
     """
 
     name = "zenoh"
@@ -42,6 +44,9 @@ class ZenohSink(Sink):
     def open(self) -> None:
         """Join the network of Zenoh."""
         config = self._zenoh.Config()
+        # A receiver that is slow loses messages, but not for a busy moment of this machine.
+        config.insert_json5(f"{_DROP}/wait_before_drop", "50000")
+        config.insert_json5("connect/retry", '{"period_init_ms": 500, "period_max_ms": 1000}')
         if self.config.connect:
             config.insert_json5("connect/endpoints", f'["{self.config.connect}"]')
             config.insert_json5("scouting/multicast/enabled", "false")
@@ -59,11 +64,7 @@ class ZenohSink(Sink):
         for kind, data in made:
             key = f"{self._key}/{child}/pose" if kind == POSE else self.config.tf_key
             if key not in self._publishers:
-                wait = self._zenoh.CongestionControl.BLOCK  # or what is lost would not be counted
-                publisher = self._session.declare_publisher(
-                    key, express=True, congestion_control=wait
-                )
-                self._publishers[key] = publisher
+                self._publishers[key] = self._session.declare_publisher(key, express=True)
             self._publishers[key].put(data)
 
     def close(self) -> None:

@@ -41,7 +41,7 @@ def test_all_that_is_played_is_received(run, registry, scheme):
         begun_s = time.time()
         end = play(run, registry, PlayOptions(wait_s=2.0, send=(where,), note=lines.append))
         ended_s = time.time()
-    assert [one.lost for one in end.sent.values()] == [0], lines
+    assert [one["lost"] for one in end.sent.values()] == [0], lines
     check_same(received, run, PRECISION.get(scheme, 0.0), scheme not in WITHOUT_LOST)
     tool = [one for one in received if one.stream == ("tool", "")]
     steps = np.diff([one.exposed_s for one in tool])
@@ -66,4 +66,4 @@ def test_a_client_that_comes_back_receives_again(run, registry, scheme):
     finally:
         over.set()
         thread.join()
-    assert [one.lost for one in ends[0].sent.values()] == [0], lines
+    assert [one["lost"] for one in ends[0].sent.values()] == [0], lines
