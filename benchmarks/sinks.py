@@ -14,6 +14,7 @@ import csv
 import json
 import multiprocessing
 import os
+import random
 import socket
 import tempfile
 import time
@@ -106,10 +107,12 @@ def stored(run: Path) -> dict[tuple[str, str], list[tuple[float, ...] | None]]:
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    """A port that nothing listens on."""
-    with socket.socket(socket.AF_INET, kind) as one:
-        one.bind((HOST, 0))
-        return int(one.getsockname()[1])
+    """A port that nothing listens on, and that is given to no connection meanwhile."""
+    while True:
+        port = random.randrange(20_000, 32_000)
+        with suppress(OSError), socket.socket(socket.AF_INET, kind) as one:
+            one.bind((HOST, port))
+            return port
 
 
 def receive_udp(address: str, over: Over) -> Iterator[Received]:

@@ -13,8 +13,7 @@ from measure.errors import ConfigError
 from measure.host import needed
 
 _FORMS = "--marks takes udp://HOST:PORT, udp://:PORT for every network, or lsl:NAME"
-_POLL_S = 0.2
-_MOST_LETTERS = 1000
+_POLL_S, _MOST_LETTERS = 0.2, 1000
 _Clock = Callable[[], float]
 _Marks = Iterator[tuple[float, Any] | None]  # Time and text; None where nothing comes for a while
 

@@ -120,8 +120,8 @@ class _Reel:
         self._tracks = [_Track(run.poses, run.body.name) for run in runs]
         if not is_missing(first.path, "relative"):
             table = first.relative()
-            (reference,) = set(table["reference"].to_pylist())
-            for name in dict.fromkeys(table[BODY].to_pylist()):
+            pairs = zip(table[BODY].to_pylist(), table["reference"].to_pylist(), strict=True)
+            for name, reference in dict.fromkeys(pairs):
                 self._tracks.append(_Track(rows_of_body(table, name), name, reference))
         bodies = tuple(run.body for run in runs)
         self._marks = sorted(events(first.path))

@@ -30,8 +30,8 @@ class SinkConformance(PluginConformance):
     def poses(self) -> list[SentPose]:
         """A pose, one to doubt, one relative to another body, and one that is lost."""
         scene = example()
-        root = np.diag([0.02, 0.03, 0.05, 1e-4, 2e-4, 1e-4])
-        pose = Pose(1.0, scene.world_from_body, root @ root, 0.1, 0.2, ("cam0",), scene.body.names)
+        variances = np.diag([0.02, 0.03, 0.05, 1e-4, 2e-4, 1e-4]) ** 2
+        pose = Pose(1.0, scene.world_from_body, variances, 0.1, 0.2, ("cam0",), scene.body.names)
         name, now = scene.body.name, time.time()
         return [
             SentPose(name, "", 0, 1.0, now, now, "ok", "", pose),
@@ -54,34 +54,21 @@ class SinkConformance(PluginConformance):
         raise AssertionError("it accepts an empty address")
 
     def test_it_sends_at_once_though_nobody_listens(self) -> None:
-        """Poses, marks, pictures; opened twice and closed twice."""
-        sink = self.build()
-        sink.close()
+        """Poses, marks, pictures; opened twice, closed twice, and nothing it is given changed."""
+        sink, poses, took = self.build(), self.poses(), []
+        before = frozen_copy(poses)
         for _ in range(2):
+            sink.close()
             sink.open()
             try:
-                took = [self._send(sink, pose) for pose in 5 * self.poses()]
+                for pose in 5 * poses:
+                    begun_s = time.perf_counter()
+                    sink.send(pose)
+                    took.append(time.perf_counter() - begun_s)
                 sink.send_mark(EventMark(1.0, time.time(), "stimulus"))
                 sink.send_pictures({})
             finally:
                 sink.close()
-            middle = float(np.median(took))
-            assert middle < self.max_send_s, f"sending a pose takes {1e3 * middle:.1f} ms"
-        sink.close()
-
-    def test_it_changes_nothing_it_is_given(self) -> None:
-        """Other sinks get the same pose."""
-        sink, poses = self.build(), self.poses()
-        before = frozen_copy(poses)
-        sink.open()
-        try:
-            for pose in poses:
-                sink.send(pose)
-        finally:
-            sink.close()
         assert_same(poses, before, "poses")
-
-    def _send(self, sink: Sink, pose: SentPose) -> float:
-        begun = time.perf_counter()
-        sink.send(pose)
-        return time.perf_counter() - begun
+        middle = float(np.median(took))
+        assert middle < self.max_send_s, f"sending a pose takes {1e3 * middle:.1f} ms"

@@ -10,13 +10,13 @@ from contextlib import suppress
 from measure.errors import ConfigError
 from measure.host import SentPose, Settings, Sink, hookimpl, host_port, needed, setting
 
-_NAME_BYTES = 20  # Of a device's name in the head of a message
 _NOT_FOUND = 4  # The code of a STATUS that says what was asked for is not there
 
 
 class IgtlSettings(Settings):
     """Settings of the `igtl` sink."""
 
+    body: str = setting("", "Name of the body, of a run of one; empty: as in its file.")
     world: str = setting("Tracker", "Name of the world's frame, as in ToolToTracker.")
 
 
@@ -37,11 +37,9 @@ class IgtlSink(Sink):
         self._messages = needed("pyigtl.messages", "igtl")
         names = [self._device(*stream) for stream in self.run.streams]
         for name in names:
-            if len(name) > _NAME_BYTES or names.count(name) > 1 or not name.isascii():
-                raise ConfigError(
-                    f"'{name}' is no name of its own of at most {_NAME_BYTES} ASCII letters: "
-                    "call the body or, with ?world=, the world otherwise"
-                )
+            if len(name) > 20 or names.count(name) > 1 or not name.isascii():
+                wrong = f"'{name}' is no name of its own of at most 20 ASCII letters"
+                raise ConfigError(f"{wrong}: give shorter ones with ?body= and &world=")
         self._server: socket.socket | None = None
         # With what a receiver has not taken of a message yet: it gets that before the next.
         self._clients: dict[socket.socket, bytes] = {}
@@ -63,7 +61,12 @@ class IgtlSink(Sink):
         else:
             place = pose.pose.world_from_body.matrix
             message = self._messages.TransformMessage(place, pose.exposed_s, name)
-        self._accept()
+        with suppress(BlockingIOError):
+            while self._server is not None:
+                client, _ = self._server.accept()
+                client.setblocking(False)
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._clients[client] = b""
         data = message.pack()
         took = [self._send_to(client, data) for client in list(self._clients)]
         self.undelivered += not all(took)
@@ -76,16 +79,9 @@ class IgtlSink(Sink):
 
     def _device(self, body: str, reference: str) -> str:
         """The name that PLUS would give it, such as ToolToReference."""
-        words = (re.split(r"[\W_]+", name) for name in (body, reference or self.config.world))
+        names = self.config.body or body, reference or self.config.world
+        words = (re.split(r"[\W_]+", name) for name in names)
         return "To".join("".join(w[:1].upper() + w[1:] for w in some) for some in words)
-
-    def _accept(self) -> None:
-        with suppress(BlockingIOError):
-            while self._server is not None:
-                client, _ = self._server.accept()
-                client.setblocking(False)
-                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._clients[client] = b""
 
     def _send_to(self, client: socket.socket, data: bytes) -> bool:
         """Send what is left and then `data`; whether it is on its way."""
@@ -94,22 +90,17 @@ class IgtlSink(Sink):
                 while client.recv(65_536):  # what it says is of no interest
                     pass
                 raise ConnectionResetError
-            left = self._clients[client]
-            left = left[_taken(client, left) :]
-            self._clients[client] = left or data[_taken(client, data) :]
-            return not left
+            # What is left goes first, and a message is begun only once nothing is.
+            for part in (self._clients[client], data):
+                self._clients[client] = part
+                with suppress(BlockingIOError):
+                    self._clients[client] = part[client.send(part) :]
+                if self._clients[client]:
+                    return part is data
         except OSError:
             del self._clients[client]
             client.close()
         return True
-
-
-def _taken(client: socket.socket, data: bytes) -> int:
-    """How much of it a receiver takes at once."""
-    try:
-        return client.send(data)
-    except BlockingIOError:
-        return 0
 
 
 @hookimpl

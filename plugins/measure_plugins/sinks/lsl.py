@@ -47,9 +47,7 @@ class LslSink(Sink):
         info.set_channel_labels([f"{name}_{label}" for name in names for label in labels])
         info.set_channel_types(list(types) * len(streams))
         info.set_channel_units(list(units) * len(streams))
-        setup = info.desc().append_child("setup")
-        setup.append_child_value("time", "middle of the exposure")
-        setup.append_child_value("status", " ".join(_STATUS))
+        info.desc().append_child_value("status", " ".join(_STATUS))
         self._poses = self._lsl.StreamOutlet(info)
         self._marks = self._lsl.StreamOutlet(self._info(f"{self.address}-marks", "Markers", 1))
 
@@ -84,9 +82,7 @@ class LslSink(Sink):
     def _info(self, name: str, kind: str, channels: int) -> Any:
         """The description of a stream of irregular rate, in double precision or text."""
         form = self._lsl.cf_string if kind == "Markers" else self._lsl.cf_double64
-        info = self._lsl.StreamInfo(name, kind, channels, 0.0, form, f"triball:{name}")
-        info.desc().append_child_value("manufacturer", "triball")
-        return info
+        return self._lsl.StreamInfo(name, kind, channels, 0.0, form, f"triball:{name}")
 
     def _clock(self, since_1970_s: float) -> float:
         """That time on the clock of LSL."""
