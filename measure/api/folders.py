@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import time
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,29 +54,20 @@ def next_free(folder: Path, stem: str) -> str:
     return f"{stem}-{number}"
 
 
-def mark_event(run: Path, what: str, time_s: float | None = None) -> float:
-    """Write down that something happened during a run; its time is now if omitted.
-
-    Returns:
-        The time, in seconds since 1970.
-
-    Raises:
-        RunError: there is no such run.
-    """
-    time_s = time.time() if time_s is None else time_s
+def mark_event(run: Path, what: str) -> None:
+    """Write down that something happened just now in a run; RunError if there is none."""
     if not (run / "run.toml").is_file():
         raise RunError(f"{run}: no run is there yet whose event could be marked")
     new = not (run / EVENTS).exists()
     with (run / EVENTS).open("a", encoding="utf-8", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        if new:
-            rows.writerow(("time_s", "event"))
-        rows.writerow((f"{time_s:.6f}", what))
-    return time_s
+        rows.writerows([("time_s", "event")] if new else [])
+        rows.writerow((f"{time.time():.6f}", what))
 
 
-def events(run: Path) -> Iterator[tuple[float, str]]:
-    """The events that were marked during a run."""
-    if (run / EVENTS).exists():
-        rows = csv.DictReader(read_text(run / EVENTS, RunError).splitlines())
-        yield from ((float(row["time_s"]), row["event"]) for row in rows)
+def events(run: Path) -> list[tuple[float, str]]:
+    """The events that were marked during a run: when, in seconds since 1970, and what."""
+    if not (run / EVENTS).exists():
+        return []
+    rows = csv.DictReader(read_text(run / EVENTS, RunError).splitlines())
+    return [(float(row["time_s"]), row["event"]) for row in rows]

@@ -25,7 +25,7 @@ from measure.errors import MeasureError
 from measure.host import Registry
 from measure.measuring import Measurement, plugin_calls
 from measure.model import Detection, Image
-from measure.session import read_body, read_calibration
+from measure.session import read_body
 
 CLIPPED_LEVEL = 250  # Of 255, from which a pixel of any colour is taken to be overexposed
 _POLL_S = 0.1
@@ -175,21 +175,11 @@ class WatchedCamera:
     """
 
     def __init__(
-        self,
-        camera: CameraAddress,
-        sink: Callable[[Image], None],
-        request: CaptureRequest | None = None,
+        self, camera: CameraAddress, sink: Callable[[Image], None], request: CaptureRequest
     ) -> None:
-        """Begin.
-
-        Args:
-            sink: called with every picture, from a thread of the camera's.
-            request: size and rate to ask a camera of this machine for.
-        """
-        asked = request if request is not None and camera.is_device else CaptureRequest()
-        self._camera, self._sink, self._asked = camera, sink, asked
-        self._stop = threading.Event()
-        self.now = CameraNow(CameraCount(), "is being connected")
+        """Begin; `sink` gets every picture, from a thread of the camera's."""
+        self._camera, self._sink, self._request = camera, sink, request
+        self._stop, self.now = threading.Event(), CameraNow(CameraCount(), "is being connected")
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -202,47 +192,33 @@ class WatchedCamera:
         self._thread.join(seconds)
 
     def _work(self) -> None:
+        name, asked = self._camera.name, self._request
         while not self._stop.is_set():
             try:
-                self._watch()
+                controls = asked.controls_of(name) if self._camera.is_device else {}
+                source = self._camera.source(asked.size_wh, asked.rate_hz, controls)
+                with Cameras({name: source}) as rig:
+                    rig.begin([self._sink])
+                    while not (rig.over or self._stop.wait(_POLL_S)):
+                        rig.check()
+                        self.now = CameraNow.of(name, rig.counts[name])
+                    rig.check()
             except MeasureError as problem:
                 self.now = replace(self.now, problem=str(problem))
             self._stop.wait(_AGAIN_S)
 
-    def _watch(self) -> None:
-        name = self._camera.name
-        source = self._camera.source(self._asked.size_wh, self._asked.rate_hz)
-        with Cameras({name: source}) as rig:
-            rig.begin([self._sink])
-            while not (rig.over or self._stop.wait(_POLL_S)):
-                rig.check()
-                self.now = CameraNow.of(name, rig.counts[name])
-            rig.check()
-
 
 class BallWatch:
-    """Searches the newest pictures of cameras for a body's balls, in turn and at leisure."""
+    """Searches the newest pictures of cameras for a body's balls, in turn and at leisure.
+
+    Ordinary lenses are assumed. Raises MeasureError if the body cannot be read.
+    """
 
     def __init__(
-        self,
-        preview: Preview,
-        cameras: Sequence[str],
-        body: Path,
-        registry: Registry,
-        calibration: Path | None = None,
-        profile: str = "precise",
+        self, preview: Preview, cameras: Sequence[str], body: Path, registry: Registry
     ) -> None:
-        """Begin; raises MeasureError if the body or the calibration cannot be read.
-
-        Args:
-            calibration: of the cameras; without, ordinary lenses are assumed.
-        """
         self._preview, self._cameras, self._body = preview, cameras, read_body(body)
-        known = () if calibration is None else read_calibration(calibration).names
-        self._lenses = {
-            name: LensOf(Lens(calibration, name) if name in known else Lens()) for name in cameras
-        }
-        self._build = partial(build_detectors, load_profile(profile), registry, self._body)
+        self._build = partial(build_detectors, load_profile(), registry, self._body)
         self._stop = threading.Event()
         threading.Thread(target=self._work, daemon=True).start()
 
@@ -255,19 +231,14 @@ class BallWatch:
             for name in self._cameras:
                 begun = time.monotonic()
                 if (image := self._preview.newest(name)) is not None:
-                    self._search(name, image)
+                    height, width = image.pixels.shape[:2]
+                    camera = replace(LensOf(Lens()).of(width, height, Path(name)), name=name)
+                    (detector,) = self._build([camera]).values()
+                    found = plugin_calls.detections(detector, image, [], self._body)
+                    best = {one.ball: one for one in sorted(found, key=lambda one: one.score)}
+                    self._preview.note_balls(name, best.values())
                 if self._stop.wait((time.monotonic() - begun) * (1 / _SEARCH_SHARE - 1)):
                     return
-
-    def _search(self, name: str, image: Image) -> None:
-        try:
-            camera = self._lenses[name].of(image.pixels.shape[1], image.pixels.shape[0], Path(name))
-            (detector,) = self._build([replace(camera, name=name)]).values()
-            found = plugin_calls.detections(detector, image, [], self._body)
-        except MeasureError:
-            found = []  # a picture of another size than calibrated: nothing is seen in it
-        best = {one.ball: one for one in sorted(found, key=lambda one: one.score)}
-        self._preview.note_balls(name, best.values())
 
 
 @contextmanager
@@ -275,10 +246,7 @@ def web_viewer() -> Iterator[tuple[str, str]]:
     """A viewer served to browsers of this machine, until the block ends.
 
     Yields:
-        Where a browser finds it, and where a measurement can send to.
-
-    Raises:
-        RunError: the viewer is not installed.
+        Where a browser finds it, and where a measurement can send to; RunError without a viewer.
     """
     from measure.viewing.viewer import open_viewer
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import webbrowser
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.options import InjectedRegistry
+from measure.cli.options import CaptureOptions, InjectedRegistry
 from measure.errors import ConfigError
 
 
@@ -20,6 +21,7 @@ def studio(
     port: int = 8080,
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
     host: str = "127.0.0.1",
+    capture: CaptureOptions = CaptureOptions(),
     registry: InjectedRegistry,
 ) -> None:
     """Serve a page that leads from cameras on a desk to a measured object.
@@ -39,4 +41,9 @@ def studio(
         raise ConfigError("the page needs NiceGUI: pip install 'triball[studio]'")
     from measure.studio import serve
 
-    serve(folder, registry, cameras, host, port, browser, console.print_text)
+    def tell(address: str) -> None:
+        console.print_text(address)
+        if browser:
+            webbrowser.open(address)
+
+    serve(folder, registry, cameras, capture.request(), (host, port), capture.seconds, tell)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from measure import api
@@ -15,19 +16,11 @@ _CAMERAS = "cameras.txt"  # In the folder: NAME=ADDRESS a line, without those th
 
 
 class Job:
-    """Work in a thread of its own, with its progress and its end.
-
-    Attributes:
-        title: what is being done, for people.
-        stop: set to end it.
-        done: how far it is: what is done and, where that is known, of how many.
-        result: what it returned, for people; empty until then.
-        problem: why it failed; empty if it did not.
-    """
+    """Work in a thread of its own; its result is for people, its problem empty if there is none."""
 
     def __init__(self, title: str, work: Callable[[Job], str]) -> None:
         self.title, self.stop = title, threading.Event()
-        self.done: tuple[int, int | None] = (0, None)
+        self.done, self.total = 0, 0
         self.result = self.problem = ""
         self._thread = threading.Thread(target=self._run, args=(work,), daemon=True)
         self._thread.start()
@@ -43,7 +36,12 @@ class Job:
 
     def progress(self, done: int, total: int | None) -> None:
         """Hear how far it is."""
-        self.done = done, total
+        self.done, self.total = done, total or 0
+
+    def told(self) -> str:
+        """What is being done and how far it is, or how it ended."""
+        share = f" {self.done} of {self.total}" if self.total else ""
+        return f"{self.title} ...{share}" if self.runs else self.problem or self.result
 
     def _run(self, work: Callable[[Job], str]) -> None:
         try:
@@ -60,15 +58,18 @@ class Bench:
     Attributes:
         folder: everything read and written lies below it.
         local: whether only this machine can look.
+        given: what cameras of this machine are set to.
         cameras: in the order in which they were given.
         preview: their newest pictures.
         job: what is or was being done last; None at first.
         body: the body whose balls are looked for in the previews.
     """
 
-    def __init__(self, folder: Path, registry: api.Registry, local: bool) -> None:
+    def __init__(
+        self, folder: Path, registry: api.Registry, local: bool, request: api.CaptureRequest
+    ) -> None:
         self.folder, self.registry, self.local = folder.resolve(), registry, local
-        self.cameras: list[api.CameraAddress] = []
+        self.given, self.cameras = request, list[api.CameraAddress]()
         self.preview = api.Preview()
         self.job: Job | None = None
         self.body: Path | None = None
@@ -89,6 +90,10 @@ class Bench:
             return {name: api.CameraNow.of(name, count) for name, count in self._counts.items()}
         return {one.name: watched.now for one, watched in self._watched.items()}
 
+    def problem(self, name: str) -> str:
+        """Why a camera delivers nothing now; empty if it does."""
+        return self.now[name].problem if name in self.now else "not read"
+
     def load_cameras(self, words: tuple[str, ...] = ()) -> None:
         """Take the cameras that were given, or those of the last time."""
         file = self.folder / _CAMERAS
@@ -107,6 +112,14 @@ class Bench:
         (self.folder / _CAMERAS).write_text("".join(kept), "utf-8")
         self.watch()
 
+    def set_controls(self, text: str, lock: bool) -> None:
+        """Set cameras of this machine, as `--control` and `--lock` do, now and from now on."""
+        self.refuse_if_busy()
+        controls = api.parse_controls([text] if text.strip() else [])
+        self.given = replace(self.given, controls=controls, lock=lock)
+        self.let_go()
+        self.watch()
+
     def watch(self) -> None:
         """Read the cameras for looking at them, and for nothing else."""
         for gone in self._watched.keys() - set(self.cameras):
@@ -115,7 +128,7 @@ class Bench:
             if one not in self._watched:
                 # A file is meant from the folder, wherever the program was started.
                 there = one.below(self.folder)
-                self._watched[one] = api.WatchedCamera(there, self.preview.add)
+                self._watched[one] = api.WatchedCamera(there, self.preview.add, self.given)
         self.look_for_balls()
 
     def let_go(self) -> None:
@@ -140,31 +153,32 @@ class Bench:
 
     def refuse_if_busy(self) -> None:
         """Refuse (ConfigError) a second thing at a time."""
-        if self.job is not None and self.job.runs:
+        if self.job is not None and self.busy:
             raise ConfigError(f"{self.job.title} goes on: stop it, or wait until it has ended")
 
-    def begin(self, title: str, work: Callable[[Job], str], needs_cameras: bool = False) -> Job:
+    def begin(self, title: str, work: Callable[[Job], str], needs_cameras: bool = False) -> None:
         """Do something in the background; the cameras are watched again when it is over."""
+
+        def with_cameras(job: Job) -> str:
+            self.let_go()
+            try:
+                return work(job)
+            finally:
+                self._counts = None
+                self.watch()
+
         with self._turn:
             self.refuse_if_busy()
-            if not needs_cameras:
-                self.job = Job(title, work)
-                return self.job
-            self.let_go()
-
-            def with_cameras(job: Job) -> str:
-                try:
-                    return work(job)
-                finally:
-                    self._counts = None
-                    self.watch()
-
-            self.job = Job(title, with_cameras)
-            return self.job
+            self.job = Job(title, with_cameras if needs_cameras else work)
 
     def note_counts(self, counts: Mapping[str, api.CameraCount]) -> None:
         """Hear from whoever reads the cameras what came of them."""
         self._counts = counts
+
+    @property
+    def request(self) -> api.CaptureRequest | None:
+        """What `record` and `live` are to set cameras to; None if none can be set."""
+        return self.given if any(one.is_device for one in self.cameras) else None
 
     def addresses(self) -> list[api.CameraAddress]:
         """The cameras as `record` and `live` take them; ConfigError if there is none."""

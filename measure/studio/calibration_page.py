@@ -10,7 +10,7 @@ from nicegui import ui
 from measure import api
 from measure.errors import ConfigError
 from measure.studio.bench import Bench, Job
-from measure.studio.layout import choice, chosen, link, page, picture, tried
+from measure.studio.layout import choice, chosen, link, page, picture, told, tried
 
 CALIBRATION = "calibration.toml"
 _ADVISED = 4  # Pieces of advice that are shown at a time
@@ -25,6 +25,22 @@ class _Wave:
     result: api.CalibrationResult | None = None
     report: Path | None = None
     printed: Path | None = None
+
+    def advice(self) -> str:
+        """What to do next, in a few lines."""
+        return "" if self.state is None else "\n".join(self.state.advice[:_ADVISED]) or "enough"
+
+    def seen_by(self, name: str) -> str:
+        """What a camera has seen of the board."""
+        if self.state is None or name not in self.state.cameras:
+            return name
+        seen, pairs = self.state.cameras[name], self.state.pairs.items()
+        others = [f"{n} with {' '.join({*pair} - {name})}" for pair, n in pairs if name in pair]
+        return (
+            f"{name}: {seen.views} pictures, {seen.tilts} tilted\n"
+            f"farthest {seen.distances:.1f} times the nearest, sharpness {seen.sharpness:.2f}\n"
+            f"{', '.join(others)}"
+        )
 
 
 def add(bench: Bench) -> None:
@@ -75,6 +91,7 @@ def _steps(bench: Bench, wave: _Wave) -> None:
                 *given,
                 body=next(iter(chosen(bench, body)), None),
                 goal_mm=goal.value,
+                request=bench.request,
                 on_state=lambda state: setattr(wave, "state", state),
                 on_image=bench.preview.add,
                 stop=job.stop,
@@ -106,22 +123,20 @@ def _steps(bench: Bench, wave: _Wave) -> None:
 
 
 def _progress(wave: _Wave) -> None:
-    advice, bar = (
-        ui.label().classes("figure lines").props("data-advice"),
-        ui.linear_progress(0.0, show_value=False),
+    told(lambda: wave.advice(), "figure lines", "data-advice")
+    bar = ui.linear_progress(0.0, show_value=False).props("rounded size=1.2rem")
+    told(
+        lambda: f"{wave.state.sentence()}; goal {wave.state.goal_mm:g} mm" if wave.state else "",
+        "hint",
     )
-    bar.props("rounded size=1.2rem")
-    told = ui.label().classes("hint")
 
     def show() -> None:
         state = wave.state
-        advice.text = "" if state is None else "\n".join(state.advice[:_ADVISED]) or "enough"
-        told.text = "" if state is None else f"{state.sentence()}; goal {state.goal_mm:g} mm"
         known = state is not None and state.position_sd_mm > 0
         bar.value = min(state.goal_mm / state.position_sd_mm, 1.0) if state and known else 0.0
         bar.set_visibility(state is not None)
 
-    ui.timer(0.3, show)
+    ui.timer(0.4, show)
 
 
 def _camera(wave: _Wave, name: str) -> None:
@@ -130,34 +145,17 @@ def _camera(wave: _Wave, name: str) -> None:
         with ui.row().classes("line"):
             with ui.element("div").classes("cells"):
                 cells = [ui.element("div") for _ in range(9)]
-            told = ui.label(name).classes("lines")
+            told(lambda: wave.seen_by(name))
 
     def show() -> None:
-        if wave.state is None or name not in wave.state.cameras:
-            return
-        seen = wave.state.cameras[name]
-        most = max(seen.cells.max(), 1.0)
-        for cell, corners in zip(cells, seen.cells.ravel(), strict=True):
-            cell.style(f"--share: {corners / most:.2f}")
-        others = ", ".join(
-            f"{count} with {' '.join({*pair} - {name})}"
-            for pair, count in wave.state.pairs.items()
-            if name in pair
-        )
-        told.text = (
-            f"{name}: {seen.views} pictures, {seen.tilts} tilted\n"
-            f"farthest {seen.distances:.1f} times the nearest, sharpness {seen.sharpness:.2f}\n"
-            f"{others}"
-        )
+        if wave.state is not None and name in wave.state.cameras:
+            corners = wave.state.cameras[name].cells.ravel()
+            for cell, share in zip(cells, corners / max(corners.max(), 1.0), strict=True):
+                cell.style(f"--share: {share:.2f}")
 
     ui.timer(0.5, show)
 
 
 def _judgement(bench: Bench, wave: _Wave) -> None:
-    lines = ui.label().classes("lines").props("data-judgement")
+    told(lambda: "\n".join(wave.result.lines()) if wave.result else "", mark="data-judgement")
     link("Report of the calibration, with the cameras in 3-D", bench, lambda: wave.report)
-
-    def show() -> None:
-        lines.text = "" if wave.result is None else "\n".join(wave.result.lines())
-
-    ui.timer(1.0, show)

@@ -66,6 +66,16 @@ def _head(bench: Bench, refresh: Callable[[], object]) -> None:
             body.value = str(bench.body.relative_to(bench.folder))
         body.on_value_change(look)
 
+    async def set_controls() -> None:
+        given = controls.value or ""
+        await tried(lambda: bench.set_controls(given, lock.value))
+
+    with ui.row().classes("line"):
+        controls = ui.input("Controls of this computer's cameras, as exposure=150,cam1.gain=0")
+        lock = ui.checkbox("lock what is automatic", value=bench.given.lock)
+        controls.classes("field").on("keydown.enter", set_controls)
+        ui.button("Set", on_click=set_controls)
+
 
 class _Card:
     """One camera."""

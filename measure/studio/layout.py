@@ -36,24 +36,21 @@ def page(bench: Bench, path: str) -> Iterator[None]:
 
 def _job_line(bench: Bench) -> None:
     """What goes on, how far it is, and how it ended."""
-    text, bar = ui.label().classes("job"), ui.linear_progress(0.0, show_value=False)
+    text = told(lambda: bench.job.told() if bench.job else str(bench.folder), "job")
     stop = ui.button("Stop", on_click=bench.stop).props("dense")
 
     def show() -> None:
-        job = bench.job
-        done, total = job.done if job else (0, None)
-        bar.set_visibility(bool(job and job.runs and total))
-        stop.set_visibility(bool(job and job.runs))
-        bar.value = done / total if total else 0.0
-        if job is None:
-            text.text = str(bench.folder)
-        elif job.runs:
-            text.text = f"{job.title} ..." + (f" {done} of {total}" if total else "")
-        else:
-            text.text = job.problem or job.result
-        put(text, "wrong", bool(job and job.problem))
+        stop.set_visibility(bench.busy)
+        put(text, "wrong", bool(bench.job and bench.job.problem))
 
     ui.timer(0.3, show)
+
+
+def told(text: Callable[[], str], kind: str = "lines", mark: str = "") -> ui.label:
+    """A label that says what is so at the moment."""
+    label = ui.label().classes(kind).props(mark)
+    ui.timer(0.4, lambda: label.set_text(text()))
+    return label
 
 
 async def tried(work: Callable[[], _T]) -> _T | None:
@@ -87,7 +84,7 @@ def chosen(bench: Bench, select: ui.select) -> list[Path]:
 
 
 def link(text: str, bench: Bench, file: Callable[[], Path | None]) -> None:
-    """A link to a file of the folder, as soon as it is there."""
+    """A link to a file of the folder, once it is there."""
     shown = ui.link(text, "", new_tab=True)
 
     def show() -> None:

@@ -14,7 +14,7 @@ from nicegui import ui
 from measure import api
 from measure.errors import ConfigError
 from measure.studio.bench import Bench, Job
-from measure.studio.layout import choice, chosen, link, page, picture, put, tried
+from measure.studio.layout import choice, chosen, link, page, picture, put, told, tried
 
 _LISTED = 8  # Rests, and events, that are listed, the latest
 _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
@@ -22,20 +22,108 @@ _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
 
 @dataclass
 class _Live:
-    """What was measured or recorded last; it outlives the browser's page."""
+    """What is asked for, and what was measured or recorded last; it outlives the browser's page."""
 
+    bench: Bench
+    profile: str = "precise"
+    seconds: float | None = None
+    keep: bool = True
+    viewer: bool = False
     run: Path | None = None
     session: Path | None = None
     report: Path | None = None
     state: api.LiveState | None = None
-    bodies: list[str] = field(default_factory=list)
-    rests: list[api.RestsSoFar] = field(default_factory=list)
-    viewer: str = ""
+    rests: dict[str, api.RestsSoFar] = field(default_factory=dict)
+    shown: str = ""  # address of the viewer while it is there
+
+    def record(self, calibrations: list[Path], bodies: list[Path]) -> None:
+        """Record until it is stopped."""
+        bench, session = self.bench, self._next("session")
+        cameras, calibration = bench.addresses(), next(iter(calibrations), None)
+
+        def work(job: Job) -> str:
+            self.session, self.run, self.report = session, None, None
+            recorded = api.record(
+                cameras,
+                session,
+                calibration=calibration,
+                bodies=bodies,
+                request=bench.request,
+                seconds=self.seconds,
+                on_state=bench.note_counts,
+                on_image=bench.preview.add,
+                stop=job.stop,
+            )
+            pictures = sum(count.pictures for count in recorded.cameras.values())
+            return f"{session.name}: {pictures} pictures of {len(cameras)} cameras"
+
+        bench.begin(f"recording {session.name}", work, needs_cameras=True)
+
+    def measure(self, calibrations: list[Path], bodies: list[Path]) -> None:
+        """Measure until it is stopped."""
+        if not (calibrations and bodies):
+            raise ConfigError("choose a calibration and a body: other pages make them")
+        bench, run = self.bench, self._next("run")
+        cameras, profile = bench.addresses(), api.load_profile(self.profile)
+        rig, read = api.read_calibration(calibrations[0]).cameras, [*map(api.read_body, bodies)]
+        options = api.LiveOptions(
+            record=self._next("session") if self.keep else None,
+            seconds=self.seconds,
+            request=bench.request,
+            on_image=bench.preview.add,
+        )
+
+        def work(job: Job) -> str:
+            self.run, self.session, self.report, self.state = run, options.record, None, None
+            self.rests = {body.name: api.RestsSoFar(body, rig) for body in read}
+            with ExitStack() as stack:
+                stack.callback(setattr, self, "shown", "")
+                made = replace(options, stop=job.stop)
+                if self.viewer and bench.local:
+                    self.shown, listens = stack.enter_context(api.web_viewer())
+                    made = replace(made, viewer=listens, image_every=10)
+                to = run, calibrations[0], bodies, profile, bench.registry, made
+                summary = api.live(cameras, *to, self._hear).summary
+            self.report = api.report(run)
+            return f"{run.name}: {summary.frame_sets} frame sets, {summary.ok} of them believed"
+
+        bench.begin(f"measuring {run.name}", work, needs_cameras=True)
+
+    def _next(self, stem: str) -> Path:
+        return self.bench.folder / api.next_free(self.bench.folder, stem)
+
+    def _hear(self, state: api.LiveState) -> None:
+        self.state = state
+        self.bench.note_counts(state.cameras)
+        for rests, measured in zip(self.rests.values(), state.latest, strict=True):
+            rests.add(measured)
+            self.bench.preview.note_measured(measured)
+
+    def check(self) -> None:
+        """Say what is wrong or weak in the session."""
+
+        def work(job: Job) -> str:
+            found = api.check(self.session or Path(), self.bench.registry, progress=job.progress)
+            lines = [f"{one.level.value}: {one.topic}: {one.text}" for one in found.findings]
+            return "; ".join(lines) or "nothing wrong, nothing weak"
+
+        self.bench.begin("checking", work)
+
+    def evaluate(self) -> None:
+        """Compare the run with the truth in the folder."""
+        truth = self.bench.folder / "truth.csv"
+
+        def work(_: Job) -> str:
+            found = api.evaluate(self.run or Path(), truth if truth.is_file() else None).body
+            error = "no pose to compare" if found is None else f"{found.rms_3d_mm:.3f} mm RMS"
+            return f"position error against the truth: {error}"
+
+        self.bench.begin("evaluating", work)
 
 
 def add(bench: Bench) -> None:
     """Add the page."""
-    live = _Live()
+    live = _Live(bench)
 
     @ui.page("/measure", title="Measure")
     def measure() -> None:
@@ -43,7 +131,8 @@ def add(bench: Bench) -> None:
             _settings(bench, live)
             _figures(live)
             _afterwards(bench, live)
-            _viewer(live)
+            frame = ui.element("iframe").classes("viewer").props('title="3-D viewer"')
+            ui.timer(1.0, lambda: _show_viewer(frame, live.shown))
             with ui.element("div").classes("cards"):
                 for one in bench.cameras:
                     _view(bench, one.name)
@@ -54,24 +143,20 @@ def _settings(bench: Bench, live: _Live) -> None:
     with ui.row().classes("line"):
         calibration = choice("Calibration", bench, there.calibrations)
         bodies = choice("Bodies", bench, there.bodies, several=True)
-        profile = ui.select([*api.profile_names()], value="precise", label="Profile")
+        ui.select([*api.profile_names()], label="Profile").bind_value(live, "profile")
         seconds = ui.number("Seconds (empty: until stopped)", min=0.1).classes("field")
-        keep = ui.checkbox("keep the pictures", value=True)
-        viewer = ui.checkbox("3-D viewer")
-        viewer.set_enabled(bench.local)
+        seconds.bind_value(live, "seconds")
+        ui.checkbox("keep the pictures").bind_value(live, "keep")
+        ui.checkbox("3-D viewer").bind_value(live, "viewer").set_enabled(bench.local)
 
     async def record() -> None:
-        given = chosen(bench, calibration), chosen(bench, bodies), seconds.value
-        await tried(lambda: _record(bench, live, *given))
+        await tried(lambda: live.record(chosen(bench, calibration), chosen(bench, bodies)))
 
     async def measure() -> None:
-        given = chosen(bench, calibration), chosen(bench, bodies), seconds.value
-        how = profile.value, keep.value, viewer.value
-        await tried(lambda: _measure(bench, live, *given, *how))
+        await tried(lambda: live.measure(chosen(bench, calibration), chosen(bench, bodies)))
 
     async def mark() -> None:
-        run = live.run
-        if run is not None and bench.busy:
+        if (run := live.run) is not None and bench.busy:
             await tried(lambda: api.mark_event(run, what.value or "event"))
 
     with ui.row().classes("line"):
@@ -85,97 +170,26 @@ def _settings(bench: Bench, live: _Live) -> None:
     )
 
 
-def _record(
-    bench: Bench, live: _Live, calibrations: list[Path], bodies: list[Path], seconds: float | None
-) -> None:
-    cameras, session = bench.addresses(), bench.folder / api.next_free(bench.folder, "session")
-
-    def work(job: Job) -> str:
-        live.session, live.run, live.report = session, None, None
-        recorded = api.record(
-            cameras,
-            session,
-            calibration=next(iter(calibrations), None),
-            bodies=bodies,
-            seconds=seconds,
-            on_state=bench.note_counts,
-            on_image=bench.preview.add,
-            stop=job.stop,
-        )
-        pictures = sum(count.pictures for count in recorded.cameras.values())
-        return f"{session.name}: {pictures} pictures of {len(cameras)} cameras"
-
-    bench.begin(f"recording {session.name}", work, needs_cameras=True)
-
-
-def _measure(
-    bench: Bench,
-    live: _Live,
-    calibrations: list[Path],
-    bodies: list[Path],
-    seconds: float | None,
-    profile: str,
-    keep: bool,
-    viewer: bool,
-) -> None:
-    if not (calibrations and bodies):
-        raise ConfigError("choose a calibration and a body: other pages make them")
-    cameras, run = bench.addresses(), bench.folder / api.next_free(bench.folder, "run")
-    known, read = api.read_calibration(calibrations[0]).cameras, [*map(api.read_body, bodies)]
-    options = api.LiveOptions(
-        record=bench.folder / api.next_free(bench.folder, "session") if keep else None,
-        seconds=seconds,
-        on_image=bench.preview.add,
-    )
-
-    def hear(state: api.LiveState) -> None:
-        live.state = state
-        bench.note_counts(state.cameras)
-        for one, measured in zip(live.rests, state.latest, strict=True):
-            one.add(measured)
-            bench.preview.note_measured(measured)
-
-    def work(job: Job) -> str:
-        live.run, live.session, live.report, live.state = run, options.record, None, None
-        live.bodies = [body.name for body in read]
-        live.rests = [api.RestsSoFar(body, known) for body in read]
-        with ExitStack() as stack:
-            stack.callback(setattr, live, "viewer", "")
-            made = replace(options, stop=job.stop)
-            if viewer:
-                live.viewer, listens = stack.enter_context(api.web_viewer())
-                made = replace(made, viewer=listens, image_every=10)
-            to, how = (run, calibrations[0], bodies), api.load_profile(profile)
-            summary = api.live(cameras, *to, how, bench.registry, made, hear).summary
-        live.report = api.report(run)
-        return f"{run.name}: {summary.frame_sets} frame sets, {summary.ok} of them believed"
-
-    bench.begin(f"measuring {run.name}", work, needs_cameras=True)
-
-
 def _figures(live: _Live) -> None:
     """Poses in large figures; rests and events below."""
-    pose, told = ui.label().classes("figure").props("data-pose"), ui.label().classes("hint")
+    told(
+        lambda: "\n".join(map(_pose, live.state.latest)) if live.state else "no pose yet",
+        *("figure", "data-pose"),
+    )
+    told(lambda: _pace(live, live.state) if live.state else "", "hint")
     with ui.row().classes("line"):
         columns = [{"name": name, "label": name, "field": name} for name in _REST_COLUMNS]
         rests = ui.table(rows=[], columns=columns).props("flat dense")
-        marks = ui.label().classes("lines").props("data-events")
-
-    def show() -> None:
-        state = live.state
-        pose.text = "\n".join(map(_pose_text, state.latest)) if state else "no pose yet"
-        told.text = _pace(live, state) if state else ""
-        marks.text = "" if live.run is None else "\n".join(_event_lines(live.run))
+        told(lambda: "\n".join(_event_lines(live.run)) if live.run else "", mark="data-events")
 
     async def settle() -> None:
-        rests.rows = await tried(lambda: list(_rest_rows(live))) or []
+        rests.rows = await tried(lambda: _rest_rows(live)) or []
         rests.set_visibility(bool(rests.rows))
 
-    ui.timer(0.3, show)
     ui.timer(2.0, settle)
 
 
-def _pose_text(measured: api.Measurement) -> str:
+def _pose(measured: api.Measurement) -> str:
     pose = measured.pose
     if pose is None:
         return f"{measured.status.value}: {measured.reason}"
@@ -188,27 +202,26 @@ def _pose_text(measured: api.Measurement) -> str:
 
 
 def _event_lines(run: Path) -> list[str]:
-    told = [
+    lines = [
         f"{number}. {what} at {datetime.fromtimestamp(time_s):%H:%M:%S.%f}"[:-4]
         for number, (time_s, what) in enumerate(api.events(run), 1)
     ]
-    return told[-_LISTED:]
+    return lines[-_LISTED:]
 
 
 def _pace(live: _Live, state: api.LiveState) -> str:
-    told = [
+    lines = [
         f"{name}: {one.status.value}" + (f" ({one.reason})" if one.reason else "")
-        for name, one in zip(live.bodies, state.latest, strict=True)
+        for name, one in zip(live.rests, state.latest, strict=True)
     ]
-    if state.away:
-        told.append(f"{', '.join(state.away)} away")
+    lines += [f"{', '.join(state.away)} away"] if state.away else []
     pace = f"{state.frame_sets} frame sets, {state.rate_hz:.1f} per s"
-    return "; ".join([*told, f"{pace}, known after {1e3 * state.age_s:.0f} ms"])
+    return "; ".join([*lines, f"{pace}, known after {1e3 * state.age_s:.0f} ms"])
 
 
 def _rest_rows(live: _Live) -> list[dict[str, Any]]:
     rows = []
-    for name, body in zip(live.bodies, live.rests, strict=True):
+    for name, body in live.rests.items():
         found = body.find()
         for number, rest in list(enumerate(found.rests))[-_LISTED:]:
             place = " ".join(f"{value:.2f}" for value in rest.world_from_body.translation)
@@ -220,27 +233,10 @@ def _rest_rows(live: _Live) -> list[dict[str, Any]]:
 
 def _afterwards(bench: Bench, live: _Live) -> None:
     """What can be made of the run, or of the recording."""
-
-    def check(job: Job) -> str:
-        found = api.check(live.session or Path(), bench.registry, progress=job.progress)
-        told = [f"{one.level.value}: {one.topic}: {one.text}" for one in found.findings]
-        return "; ".join(told) or "nothing wrong, nothing weak"
-
-    def evaluate(job: Job) -> str:  # noqa: ARG001
-        truth = bench.folder / "truth.csv"
-        found = api.evaluate(live.run or Path(), truth if truth.is_file() else None).body
-        return (
-            "no pose could be compared"
-            if found is None
-            else (f"position error against the truth: {found.rms_3d_mm:.3f} mm RMS")
-        )
-
     with ui.row().classes("line"):
         link("Report", bench, lambda: live.report)
-        checks = ui.button("Check", on_click=lambda: tried(lambda: bench.begin("checking", check)))
-        compares = ui.button(
-            "Evaluate", on_click=lambda: tried(lambda: bench.begin("evaluating", evaluate))
-        )
+        checks = ui.button("Check", on_click=lambda: tried(live.check))
+        compares = ui.button("Evaluate", on_click=lambda: tried(live.evaluate))
 
     def show() -> None:
         checks.set_visibility(live.session is not None and not bench.busy)
@@ -249,31 +245,22 @@ def _afterwards(bench: Bench, live: _Live) -> None:
     ui.timer(0.5, show)
 
 
-def _viewer(live: _Live) -> None:
+def _show_viewer(frame: ui.element, address: str) -> None:
     """The viewer of the run that goes on, as it is served to this machine."""
-    frame = ui.element("iframe").classes("viewer").props('title="3-D viewer"')
-
-    def show() -> None:
-        frame.set_visibility(bool(live.viewer))
-        if frame.props.get("src", "") != live.viewer:
-            frame.props(f'src="{live.viewer}"')
-
-    ui.timer(1.0, show)
+    frame.set_visibility(bool(address))
+    if frame.props.get("src", "") != address:
+        frame.props(f'src="{address}"')
 
 
 def _view(bench: Bench, name: str) -> None:
     with ui.card() as card:
         picture(name, 320)
-        told = ui.label()
+        told(lambda: _camera_line(bench, name))
+        ui.timer(0.5, lambda: put(card, "away", bool(bench.problem(name))))
 
-    def show() -> None:
-        now = bench.now.get(name)
-        problem = "not read" if now is None else now.problem
-        told.text = (
-            f"{name}: {problem}"
-            if problem or now is None
-            else (f"{name}: {now.count.pictures} pictures, {now.count.rate_hz:.1f} per s")
-        )
-        put(card, "away", bool(problem))
 
-    ui.timer(0.5, show)
+def _camera_line(bench: Bench, name: str) -> str:
+    count = bench.now[name].count if name in bench.now else None
+    problem = bench.problem(name)
+    rate = "" if count is None else f"{count.pictures} pictures, {count.rate_hz:.1f} per s"
+    return f"{name}: {problem or rate}"

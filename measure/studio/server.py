@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 import signal
 import socket
-import webbrowser
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import resources
@@ -33,9 +33,9 @@ def serve(
     folder: Path,
     registry: api.Registry,
     cameras: tuple[str, ...] = (),
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    browser: bool = True,
+    request: api.CaptureRequest | None = None,
+    at: tuple[str, int] = ("127.0.0.1", 8080),
+    seconds: float | None = None,
     tell: Callable[[str], None] = print,
 ) -> None:
     """Serve the set-up page until it is interrupted.
@@ -43,8 +43,9 @@ def serve(
     Args:
         folder: where everything is written; made if it is not there.
         cameras: NAME=ADDRESS each; those of the last time if omitted.
-        host: address to listen on; on any but loopback the page's address holds a token.
-        browser: open the page in a browser.
+        request: what cameras of this machine are set to.
+        at: address and port to listen on; on any but loopback the page's address holds a token.
+        seconds: how long; until interrupted if None.
         tell: called with the address of the page.
 
     Raises:
@@ -52,24 +53,28 @@ def serve(
         OSError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    host, port = at
     token = "" if host in _LOOPBACK else secrets.token_urlsafe(24)
-    bench = Bench(folder, registry, local=not token)
+    bench = Bench(folder, registry, not token, request or api.CaptureRequest())
     with _listening(host, port) as listening:
         bench.load_cameras(cameras)
         shown = f"http://{host}:{listening.getsockname()[1]}/" + (
             f"?token={token}" if token else ""
         )
         tell(shown)
-        if browser:
-            webbrowser.open(shown)
         config = uvicorn.Config(
             Door(_application(bench), token), log_level="warning", timeout_graceful_shutdown=1
         )
         pages.on_shutdown(bench.close)
         # The server hears both signals, and raises them again when it has ended in order.
         signal.signal(signal.SIGTERM, lambda *_: None)
+        server = uvicorn.Server(config)
+        if seconds is not None:
+            timer = threading.Timer(seconds, setattr, (server, "should_exit", True))
+            timer.daemon = True
+            timer.start()
         with suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run([listening])
+            server.run([listening])
 
 
 def _listening(host: str, port: int) -> socket.socket:

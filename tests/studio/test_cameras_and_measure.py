@@ -50,7 +50,7 @@ def test_from_addresses_to_a_pose_that_is_right(still, tmp_path):
             page.wait_for(f"!!document.querySelector('[data-camera={name}]')", 20)
         page.wait_for(SHOWN.format(4), 30)
         page.wait_for(STATE.format("cam3", "its own clock"), 20)
-        assert page.evaluate(STATE.format("cam3", "1280 x 720 px"))
+        page.wait_for(STATE.format("cam3", "1280 x 720 px"), 20)
         page.open(address + "measure")
         choose(page, "Profile", "paper")
         press(page, "measure$")
