@@ -54,15 +54,15 @@ def next_free(folder: Path, stem: str) -> str:
     return f"{stem}-{number}"
 
 
-def mark_event(run: Path, what: str) -> None:
-    """Write down that something happened just now in a run; RunError if there is none."""
+def mark_event(run: Path, what: str, time_s: float | None = None) -> None:
+    """Write down that something happened in a run, now if no time is given; RunError without one."""
     if not (run / "run.toml").is_file():
         raise RunError(f"{run}: no run is there yet whose event could be marked")
     new = not (run / EVENTS).exists()
     with (run / EVENTS).open("a", encoding="utf-8", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerows([("time_s", "event")] if new else [])
-        rows.writerow((f"{time.time():.6f}", what))
+        rows.writerow((f"{time.time() if time_s is None else time_s:.6f}", what))
 
 
 def events(run: Path) -> list[tuple[float, str]]:
