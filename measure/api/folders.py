@@ -55,7 +55,7 @@ def next_free(folder: Path, stem: str) -> str:
 
 
 def mark_event(run: Path, what: str, time_s: float | None = None) -> None:
-    """Write down that something happened in a run, now if no time is given; RunError without one."""
+    """Write down what happened in a run, now if no time is given; RunError if there is none."""
     if not (run / "run.toml").is_file():
         raise RunError(f"{run}: no run is there yet whose event could be marked")
     new = not (run / EVENTS).exists()
