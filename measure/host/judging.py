@@ -19,6 +19,7 @@ _CLIP_SDS = 8.0  # scaled features are clipped to this many SDs
 _STRANGE_SHARE = 0.01  # of rows that were not learnt from is called unfamiliar
 _LIMITS = 0.8, 1.5  # least and largest distance from which on a state is
 _FADING = 0.7  # of the travel, at each step of the training's rate
+_ROUNDS, _LEAST = 6, 0.05  # of the fit of growth, and of the mean square that it may expect
 DOUBTS = 4  # range, distance, travel, spread: what the covariance may grow with
 
 
@@ -167,7 +168,10 @@ class Trust:
         squared = (residual * white).sum(axis=1) / 3.0
         ingredients = np.concatenate([np.ones((len(residual), 1)), judged.doubts], axis=1)
         limit = np.quantile(squared, 0.99)  # outliers of the label must not inflate everything
-        growth, _ = nnls(ingredients, np.minimum(squared, limit))
+        squared, expected = np.minimum(squared, limit), np.ones(len(squared))
+        for _ in range(_ROUNDS):  # what is expected to be large varies as much more
+            growth, _ = nnls(ingredients / expected[:, None], squared / expected)
+            expected = np.maximum(ingredients @ growth, _LEAST)
         mean = float((ingredients @ growth).mean())
         growth = growth / mean if mean > 0 else np.eye(DOUBTS + 1)[0]
         distance = judged.doubts[:, :2].max(axis=1)

@@ -14,6 +14,8 @@ from measure.host import Dataset, Estimator, Registry
 from measure.host.estimator import quiet
 from measure.learning import evaluate, files, split_by_trajectory
 from measure.robots import find_schema
+from measure_plugins.estimators import _training_set
+from measure_plugins.estimators._training_set import OutputUnits, TrainingSet
 
 pytest.importorskip("sklearn", reason="training needs the extra 'train'")
 
@@ -97,6 +99,33 @@ def test_baselines_go_through_the_kinematics(name: str, settings: dict[str, floa
         fit.fit(train, other, seed=0, report=quiet)
         left.append(evaluate(other, fit.model.predict(other)).after.rms_mm)  # type: ignore[attr-defined]
     assert left[0] < 0.7 * left[1]
+
+
+@pytest.mark.parametrize("names", [("a/0", "a/1", "b/0", "b/1"), ("a/0", "a/1")])
+def test_a_recordings_own_offset_is_not_the_nets_to_explain(names: tuple[str, ...]) -> None:
+    """In training, recordings may differ by constant joint errors; one recording differs from none.
+
+    Two recordings whose wrists were homed 0.2 rad apart, and a net that says nothing.
+    """
+    torch = pytest.importorskip("torch")
+    data = _recordings(["a", "b"], 1)
+    assert data.schema.chain is not None
+    homed = np.where(data.trajectory < 2, -0.1, 0.1)[:, None] * [0, 0, 0, 0, 1, 0]
+    errors = data.schema.chain.tip_mm(data.joints + homed) - data.reported_mm
+    part = replace(data, errors_mm=errors).select(names)
+    units = replace(OutputUnits.of(part), middle_mm=np.zeros(3))
+    known = TrainingSet(part, part, lambda d: d.joints, units, [])
+    offsets, rows = known.offsets(), torch.arange(len(part))
+    said = torch.zeros(len(part), len(units.scale))
+    descent, losses = torch.optim.Adam([offsets], lr=0.05), []
+    for _ in range(150):
+        losses.append(known.loss(rows, said, offsets))
+        descent.zero_grad()
+        losses[-1].backward()
+        descent.step()
+    first, last = (float(loss.detach()) - _training_set._SOFT_MM2**0.5 for loss in losses[::149])
+    assert first > 0.3
+    assert last < 0.5 * first if len(names) == 4 else last == first
 
 
 def test_whole_recordings_are_kept_for_validation_and_test() -> None:

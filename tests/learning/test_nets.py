@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from measure.host import Dataset, Graph
+from measure.host import Dataset, Graph, OnnxModel
+from measure.host.estimator import quiet
+from measure.learning import Split
 from measure.robots import find_schema
 from measure_plugins.estimators import _nets, _training, mlp
 from measure_plugins.estimators._kinematics import TorchTip, tip_change
 from measure_plugins.estimators._play import PlayBank
+from measure_plugins.estimators.stream import StreamEstimator, StreamSettings
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 
@@ -54,7 +58,11 @@ def test_gru_steps_equal_torchs_sequence() -> None:
         flat = graph.reshape(graph.op("Transpose", out, perm=[1, 0, 2]), -1, 6)
         got, memory = _run(
             graph,
-            {"x": x[:, index].numpy(), "steps": steps[:, index].numpy(), "memory": memory},
+            {
+                "x": x[:, index].numpy(),
+                "steps": _nets.STEP_GAIN * steps[:, index].numpy(),
+                "memory": memory,
+            },
             {"out": (flat, 6), "memory_out": (after, 14)},
         )
         both = np.concatenate([w[:, index].numpy() for w in wanted], axis=1)
@@ -97,9 +105,9 @@ def test_kinematics_in_torch_and_onnx() -> None:
 
 
 def test_play_operators_in_the_graph(small: Dataset) -> None:
-    bank = PlayBank.of(small, 3, 0.01, 0.2)
+    bank = PlayBank.of(small, 3, 0.01, 0.2, halves=True)
     wanted = bank.features(small)
-    assert bank.size == 36  # six joints and six sums and differences of the wrist's, three widths
+    assert bank.size == 72  # six joints and eighteen combinations of the wrist's, three widths
     assert np.abs(wanted).max() <= 1.0 + 1e-9
     memory = np.zeros((1, 1 + bank.size))
     for row in range(30):
@@ -127,3 +135,26 @@ def test_play_is_a_hysteresis_loop(small: Dataset) -> None:
     assert down == pytest.approx(-0.2)
     assert up == pytest.approx(0.2)
     assert play(path[:, None] * 0.1, np.array([[0.2]]))[:, 0] * 0.2 == pytest.approx(path * 0.1)
+
+
+def test_the_graph_answers_what_training_scored(split: Split) -> None:
+    """The perceptrons of `stream` see the same steps in a file, state by state, as in training."""
+    fit = StreamEstimator(
+        StreamSettings(
+            perceptrons=1, perceptron_units=16, perceptron_epochs=3, grus=1, gru_units=4,
+            gru_epochs=1, window=16, play_widths=2,
+        )
+    )  # fmt: skip
+    fit.folds = 0
+    fit.fit(split.train, split.validation, seed=0, report=quiet)
+    *first, last = fit._perceptrons.weights
+    biases = fit._perceptrons.biases
+    fit._perceptrons = _nets.Perceptrons((*first, 2 * last), (*biases[:-1], 2 * biases[-1]))
+    head = fit._grus.head  # silent, so that the mean of both is the perceptron
+    silent = _nets.Perceptrons(*(tuple(map(np.zeros_like, p)) for p in (head.weights, head.biases)))
+    fit._grus = replace(fit._grus, head=silent)
+    left = (
+        split.validation.errors_mm - OnnxModel(fit._build({})).predict(split.validation).errors_mm
+    )
+    rms = float(np.sqrt((left[split.validation.usable] ** 2).sum(axis=1).mean()))
+    assert rms == pytest.approx(fit.curve[2].validation_mm, rel=1e-4)

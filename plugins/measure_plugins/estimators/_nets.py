@@ -85,9 +85,10 @@ class Grus:
     ) -> tuple[Value, Value]:
         """Outputs (members, N, outputs) and new memory (N, members x hidden).
 
-        `steps` are the differences of the moving inputs since the memory was last kept.
+        `steps` are the differences of the moving inputs since the memory was last kept, times
+        `STEP_GAIN`.
         """
-        seen = graph.op("Concat", inputs, graph.op("Mul", steps, np.float32(STEP_GAIN)), axis=1)
+        seen = graph.op("Concat", inputs, steps, axis=1)
         h = graph.op(
             "Transpose", graph.reshape(memory, -1, self.members, self.hidden), perm=[1, 0, 2]
         )

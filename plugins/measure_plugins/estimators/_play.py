@@ -1,7 +1,8 @@
 """Play (backlash) operators: y <- min(max(y, x - w), x + w), the memory of slack cables.
 
 Features are (x - y) / w in [-1, 1]: where inside its play each joint stands, over several widths.
-A joint, and every sum and difference of joints that share cables, has its own operators.
+A joint has its own operators, and so have sums and differences of joints that share cables. Which
+of them a motor moves is not known: each of a pair may count by half, too.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from measure.arrays import Floats
 from measure.host import Dataset, Graph, Value
 from measure.robots import StateSchema
 
+_WHOLE = np.array([[1, 1], [1, -1]])
+_HALF = np.array([[1, 0.5], [1, -0.5], [0.5, 1], [-0.5, 1]])
+
 
 @dataclass(frozen=True, eq=False)
 class PlayBank:
@@ -24,15 +28,18 @@ class PlayBank:
     widths: Floats  # (combinations, widths) half-widths
 
     @classmethod
-    def of(cls, data: Dataset, count: int, narrowest: float, widest: float) -> PlayBank:
+    def of(
+        cls, data: Dataset, count: int, narrowest: float, widest: float, *, halves: bool = False
+    ) -> PlayBank:
         """Widths spaced geometrically over the range (1st to 99th percentile) of each combination.
 
         Args:
             data: training trajectories; a robot without joints plays on its reported position.
             narrowest: of the range.
             widest: of the range.
+            halves: whether one joint of a pair may count by half.
         """
-        mixing = _mixing(data.schema)
+        mixing = _mixing(data.schema, np.concatenate([_WHOLE, _HALF]) if halves else _WHOLE)
         low, high = np.percentile(data.states @ mixing, [1, 99], axis=0)
         moving = high - low > 1e-9
         span = (high - low)[moving]
@@ -64,10 +71,8 @@ class PlayBank:
         return graph.op("Mul", graph.op("Sub", x, after), 1.0 / widths), after
 
 
-def _mixing(schema: StateSchema) -> Floats:
+def _mixing(schema: StateSchema, shares: Floats) -> Floats:
     readings = schema.reading_matrix(schema.joints or schema.position)
-    count = readings.shape[1]
-    rows = list(np.eye(count))
-    for a, b in itertools.combinations(schema.coupled, 2):
-        rows += [np.eye(count)[a] + np.eye(count)[b], np.eye(count)[a] - np.eye(count)[b]]
-    return readings @ np.array(rows).T
+    alone = np.eye(readings.shape[1])
+    pairs = (shares @ alone[list(pair)] for pair in itertools.combinations(schema.coupled, 2))
+    return readings @ np.concatenate([alone, *pairs]).T

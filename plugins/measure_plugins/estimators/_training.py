@@ -50,14 +50,21 @@ def train_perceptrons(
     seed: int,
     after_epoch: AfterEpoch,
 ) -> Perceptrons:
-    """Train all members side by side on shuffled rows."""
+    """Train all members side by side on shuffled rows of inputs and bounded steps."""
     torch = torch_or_explain()
     dice = torch.Generator().manual_seed(seed)
     net = _PerceptronStack(torch, sizes, members, dice)
+
+    def stepped(x: Any) -> Any:
+        # A step larger than any learnt from must not lead the net astray.
+        return torch.cat([x, _steps(x, data.moving).tanh()], dim=-1)
+
+    inputs = torch.cat([stepped(x) for x in data.inputs.split(data.lengths.tolist())])
+    offsets = data.offsets()
     rows = torch.nonzero(data.usable)[:, 0]
     batch = min(_BATCH_ROWS, len(rows))
     rounds = len(rows) // batch
-    step = _Stepper(torch, net.parameters, how, how.epochs * rounds)
+    step = _Stepper(torch, [*net.parameters, offsets], how, how.epochs * rounds)
     for epoch in range(how.epochs):
         order = torch.stack(
             [rows[torch.randperm(len(rows), generator=dice)] for _ in range(members)]
@@ -65,11 +72,11 @@ def train_perceptrons(
         total = 0.0
         for index in range(rounds):
             picked = order[:, index * batch : (index + 1) * batch]
-            x = data.inputs[picked]
+            x = inputs[picked]
             x = x + how.noise * torch.randn(x.shape, generator=dice)
-            total += step(data.loss(picked, net(x)), members)
+            total += step(data.loss(picked, net(x), offsets), members)
         with torch.no_grad():
-            score = data.validate(lambda x: net(x.expand(members, -1, -1)).mean(dim=0))
+            score = data.validate(lambda x: net(stepped(x).expand(members, -1, -1)).mean(dim=0))
         after_epoch(epoch, total / rounds, score)
     return Perceptrons(tuple(map(array_of, net.weights)), tuple(map(array_of, net.biases)))
 
@@ -93,7 +100,8 @@ def train_gru(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         net = _RecurrentNet(torch, data, hidden, outputs, how.dropout)
-        step = _Stepper(torch, net.parameters, how, how.epochs * rounds, clip=1.0)
+        offsets = data.offsets()
+        step = _Stepper(torch, [*net.parameters, offsets], how, how.epochs * rounds, clip=1.0)
         for epoch in range(how.epochs):
             net.drop.train()
             total = 0.0
@@ -103,7 +111,7 @@ def train_gru(
                 keep = data.usable[picked].clone()
                 keep[:, : min(8, window // 4)] = False
                 if keep.any():
-                    total += step(data.loss(picked, net(x), keep))
+                    total += step(data.loss(picked, net(x), offsets, keep))
             net.drop.eval()
             if epoch == how.epochs - 1 or epoch % max(1, how.epochs // 20) == 0:
                 with torch.no_grad():
@@ -156,10 +164,13 @@ class _RecurrentNet:
         return [*self.gru.parameters(), *self.head.parameters()]
 
     def __call__(self, x: Any) -> Any:
-        torch, moving = self._torch, self._moving
-        steps = torch.diff(x[..., moving], dim=1, prepend=x[:, :1, moving])
-        hidden = self.gru(torch.cat([x, STEP_GAIN * steps], -1))[0]
-        return self.head(torch.cat([self.drop(hidden), x], dim=-1))
+        hidden = self.gru(self._torch.cat([x, _steps(x, self._moving)], dim=-1))[0]
+        return self.head(self._torch.cat([self.drop(hidden), x], dim=-1))
+
+
+def _steps(x: Any, moving: list[int]) -> Any:
+    """Differences of the moving inputs (..., rows, columns) between rows, scaled."""
+    return STEP_GAIN * x[..., moving].diff(dim=-2, prepend=x[..., :1, moving])
 
 
 class _Stepper:

@@ -10,11 +10,13 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.host import Dataset, Graph, Value
+from measure.host.dataset import recording_of
 from measure.robots import StateSchema
 from measure_plugins.estimators._kinematics import TorchTip, levers, tip_error
 
 _TURN_RAD, _SLIDE_MM = 0.05, 1.0  # joint errors (and of a tip) of an output of one
 _SOFT_MM2 = 0.25  # of the pseudo-Huber loss: quadratic below half a millimetre, linear above
+_PULL = 0.03  # of the loss, per mm^2 that a recording's offsets move the tip
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,7 @@ class TrainingSet:
     Attributes:
         inputs: (n, columns) scaled inputs, torch float32.
         usable: (n,) rows with labels.
-        moving: columns of `inputs` whose differences between steps the GRUs also see.
+        moving: columns of `inputs` whose differences between steps the nets also see.
         starts: (runs,) first row of each trajectory.
         lengths: (runs,) rows of each trajectory.
     """
@@ -67,16 +69,33 @@ class TrainingSet:
         self._known, self._other = Targets(data, outputs), Targets(validation, outputs)
         self.inputs, self._inputs_other = _tensor(inputs(data)), _tensor(inputs(validation))
         self._weights, self.moving = _tensor(data.weights()), moving
+        self._reach = _tensor(outputs.reach_mm)
+        recordings = np.unique([recording_of(n) for n in data.names], return_inverse=True)[1]
+        self._recording = _tensor(recordings[data.trajectory], np.int64)
+        self._shares = _tensor(np.bincount(recordings[data.trajectory]) / len(data))
         self.usable, self._validation = _tensor(data.usable, bool), validation
         runs = [rows for _, rows in data.runs()]
         self.starts: Ints = np.array([rows.start for rows in runs])
         self.lengths: Ints = np.array([rows.stop - rows.start for rows in runs])
 
-    def loss(self, rows: Any, out: Any, keep: Any = None) -> Any:
-        """Mean loss of net outputs (..., outputs) for row indices (...), of which some are kept."""
-        each = ((self._known.residuals(rows, out) ** 2).sum(dim=-1) + _SOFT_MM2).sqrt()
+    def offsets(self) -> Any:
+        """Constant errors of each recording's outputs (recordings, outputs), still zero.
+
+        How joints were homed and cameras registered, no state shows: a net that need not explain
+        it learns better what is common. They are trained with the net, and not part of it.
+        """
+        return self._reach.new_zeros(len(self._shares), len(self._reach)).requires_grad_()
+
+    def loss(self, rows: Any, out: Any, offsets: Any, keep: Any = None) -> Any:
+        """Mean loss of net outputs (..., outputs) for row indices (...), of which some are kept.
+
+        What the offsets have in common is the net's; of a single recording, everything.
+        """
+        off = (offsets - self._shares @ offsets)[self._recording[rows]]
+        each = ((self._known.residuals(rows, out + off) ** 2).sum(dim=-1) + _SOFT_MM2).sqrt()
         weight = self._weights[rows] if keep is None else self._weights[rows] * keep
-        return (weight * each).sum() / weight.sum()
+        pull = ((off * self._reach) ** 2).sum(dim=-1).mean()
+        return (weight * each).sum() / weight.sum() + _PULL * pull
 
     def validate(self, forward: Callable[[Any], Any]) -> float:
         """RMS in mm of a function that maps inputs of one validation trajectory to outputs."""

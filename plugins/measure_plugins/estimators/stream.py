@@ -82,7 +82,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         self._columns = informative_features(data)
         self._scaling = host.Scaling.of(data.states[:, self._columns])
         self._moving = self._moving_inputs()
-        self._bank = PlayBank.of(data, c.play_widths, c.narrowest, c.widest)
+        self._bank = PlayBank.of(data, c.play_widths, c.narrowest, c.widest, halves=True)
         self._outputs = OutputUnits.of(data)
         training_set = TrainingSet(data, validation, self._inputs, self._outputs, self._moving)
         log = _Log(_PERCEPTRON_SHARE * c.perceptrons * c.perceptron_epochs + c.grus * c.gru_epochs)
@@ -95,7 +95,8 @@ class StreamEstimator(WithinTrajectoryEstimator):
     ) -> _nets.Perceptrons:
         c, outputs = self.config, len(self._outputs.scale)
         how = Training(c.perceptron_epochs, noise=c.noise, decay=0.2 * c.decay)
-        sizes = (data.inputs.shape[1], c.perceptron_units, c.perceptron_units, outputs)
+        inputs = data.inputs.shape[1] + len(data.moving)
+        sizes = (inputs, c.perceptron_units, c.perceptron_units, outputs)
         share = _PERCEPTRON_SHARE * c.perceptrons
         note = log.part("perceptrons", share, c.perceptron_epochs, report)
         return self._resumed(
@@ -140,9 +141,10 @@ class StreamEstimator(WithinTrajectoryEstimator):
         inputs = graph.op("Concat", self._scaling.in_graph(graph, raw), play, axis=1)
         moving = graph.columns(inputs, self._moving)
         last = graph.mix(started, last, moving)
-        steps = graph.op("Sub", moving, last)
+        steps = graph.op("Mul", graph.op("Sub", moving, last), np.float32(_nets.STEP_GAIN))
         recurrent, after = self._grus.in_graph(graph, inputs, steps, before)
-        members = graph.op("Concat", self._perceptrons.in_graph(graph, inputs), recurrent, axis=0)
+        stepped = graph.op("Concat", inputs, graph.op("Tanh", steps), axis=1)
+        members = graph.op("Concat", self._perceptrons.in_graph(graph, stepped), recurrent, axis=0)
         mean = graph.total(members, 0, mean=True)
         away = graph.op("Mul", graph.op("Sub", members, mean), self._outputs.reach_mm)
         squares = graph.total(graph.op("Mul", away, away), 0, mean=True)
