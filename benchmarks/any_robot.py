@@ -122,7 +122,7 @@ def commands(estimator: str, options: str = "") -> list[tuple[str, str]]:
         ("frame.toml", f"register first-run {log.format('first')} -o frame.toml"),
         ("first.parquet", f"{pair.format('first')} --cut-s 10"),
         ("model.onnx", f"train first.parquet --out model.onnx --estimator {estimator} {options}"),
-        ("out.csv", "estimate model.onnx --input second/robot.csv --output out.csv"),
+        ("out.csv", "estimate model.onnx --input second/robot.csv --out out.csv"),
     ]
 
 

@@ -46,7 +46,7 @@ def commands(given: argparse.Namespace) -> list[tuple[str, str]]:
     """What each command makes, and its words."""
     hz = f"--frame-hz {given.frame_hz:g}"
     pair = f"--robot-log {{0}}/robot.parquet --out {{0}}.parquet {given.pairing}"
-    estimate = "estimate model.onnx --input second/robot.parquet --output"
+    estimate = "estimate model.onnx --input second/robot.parquet --out"
     return [
         ("first/session.toml", f"simulate first --seconds {given.seconds:g} {hz} --seed 1"),
         ("second/session.toml", f"simulate second --seconds {given.second:g} {hz} --seed 2"),

@@ -18,13 +18,7 @@ _LISTEN_S = 2.0
 
 
 def cameras(addresses: Sequence[str] = ()) -> list[FoundCamera]:
-    """The cameras of this machine, or those at addresses, which are asked for pictures.
-
-    A camera that does not answer is listed with its `problem`.
-
-    Raises:
-        CaptureError: the library that lists this machine's cameras is missing.
-    """
+    """The cameras of this machine, or those at addresses; who does not answer has a `problem`."""
     if not addresses:
         return find_devices()
     given = [CameraAddress(shown(address), address) for address in addresses]

@@ -64,7 +64,7 @@ def estimate_file(
 def check_estimates(out: Path, read: Sequence[Path | None]) -> None:
     """Refuse a file of errors that is one of those to be read, or cannot be written."""
     if is_one_of(out, [path for path in read if path is not None]):
-        raise EstimatorError(f"{out}: is one of the files to be read: choose another --output")
+        raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
     if out.suffix not in (".parquet", ".csv"):
         raise EstimatorError(f"{out}: the name of a file of errors must end with .parquet or .csv")
     check_writable(out, folder_is_made=True)

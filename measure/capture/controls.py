@@ -15,7 +15,8 @@ from measure.errors import CaptureError
 AUTO = "auto"  # The setting of a control that the camera sets by itself
 EXTRA = "cameras' modes and controls need the extra 'cameras': pip install 'triball[cameras]'"
 _LOOK_EVERY_S = 1.0
-_STEADY_S, _LONGEST_S = 1.0, 6.0  # How long automatic control must not change; longest wait for it
+_READ_EVERY_S, _STEADY, _LONGEST_S = 0.1, 10, 6.0
+"""Automatic control is steady when so many readings are the same; so long is it waited for."""
 # By our name of a control: V4L2's, that of what makes it automatic, and the latter's values for off
 # and on. Automatic exposure is a menu: 0 auto, 1 manual, 2 shutter, 3 aperture priority.
 _KNOWN: dict[str, tuple[str, str, int, tuple[int, ...]]] = {
@@ -65,11 +66,9 @@ class Control:
 
 
 class DeviceControls:
-    """The controls of one camera, and what they are set to whenever it is opened.
+    """The controls of a device, and what they are set to whenever it is opened.
 
-    Args:
-        path: the device.
-        wanted: by name of a control a number, a menu's text, or `auto`.
+    `wanted` has by name of a control a number, a menu's text, or `auto`.
     """
 
     def __init__(self, path: Path, wanted: Mapping[str, str] | None = None) -> None:
@@ -92,13 +91,11 @@ class DeviceControls:
 
     def lock(self) -> None:
         """Keep what automatic control has found, once that is steady, from now on."""
-        found, begun_s = self.read(), time.monotonic()
-        since_s = now_s = begun_s
-        while now_s - since_s < _STEADY_S and now_s - begun_s < _LONGEST_S:
-            time.sleep(_STEADY_S / 10)
-            now_s = time.monotonic()
-            if (later := self.read()) != found:
-                found, since_s = later, now_s
+        found, same, until_s = self.read(), 0, time.monotonic() + _LONGEST_S
+        while same < _STEADY and time.monotonic() < until_s:
+            time.sleep(_READ_EVERY_S)
+            before, found = found, self.read()
+            same = same + 1 if found == before else 0
         self._wanted |= {name: str(one.value) for name, one in found.items() if one.automatic}
         self.apply()
 
@@ -108,7 +105,7 @@ class ControlRecord:
     """How cameras' controls stood, by camera and name."""
 
     settings: Mapping[str, Mapping[str, int | str]]  # at first
-    changed: dict[tuple[str, str], str]  # a sentence for each that has changed since
+    changed: dict[str, str] = field(default_factory=dict)  # a sentence for each that changed since
 
 
 @contextmanager
@@ -125,17 +122,18 @@ def watched(cameras: Mapping[str, DeviceControls], lock: bool) -> Iterator[Contr
         return found
 
     def look() -> None:
-        while begun and not over.wait(_LOOK_EVERY_S):
+        last = not begun
+        while not last:
+            last = over.wait(_LOOK_EVERY_S)
             for camera, controls in read().items():
                 for name, then in begun.get(camera, {}).items():
-                    if (now := controls[name].value) != then.value:
+                    if (now := controls.get(name, then).value) != then.value:
                         cure = ": --lock keeps what it has found" if then.automatic else ""
                         text = f"{camera} changed its {name} from {then.value} to {now}{cure}"
-                        record.changed[camera, name] = text
+                        record.changed[f"{camera}.{name}"] = text
 
     begun, over = read(), threading.Event()
-    settings = {name: {key: one.setting for key, one in of.items()} for name, of in begun.items()}
-    record = ControlRecord(settings, {})
+    record = ControlRecord({n: {k: c.setting for k, c in of.items()} for n, of in begun.items()})
     thread = threading.Thread(target=look, daemon=True, name="controls")
     thread.start()
     try:
@@ -159,11 +157,6 @@ def opened(path: Path) -> Iterator[Any]:
         raise CaptureError(f"{path}: may be read by the group 'video' only: join it") from None
     except (OSError, RuntimeWarning, CaptureError) as problem:  # a warning: ranges without sense
         raise CaptureError(f"{path}: {getattr(problem, 'strerror', None) or problem}") from None
-
-
-def controls_of(device: Any) -> tuple[Control, ...]:
-    """How the controls of an opened device stand."""
-    return tuple(_stands(name, *pair) for name, pair in _pairs(device).items())
 
 
 def _pairs(device: Any) -> dict[str, tuple[Any, Any]]:

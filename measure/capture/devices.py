@@ -9,14 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from measure.capture.controls import EXTRA, Control, controls_of, opened
+from measure.capture.controls import EXTRA, Control, DeviceControls, opened
 from measure.errors import CaptureError
 
 DEV, SYS = Path("/dev"), Path("/sys")
 _USABLE = 280 / 480  # Share of a USB bus' rate that pictures can have
-# Bits a pixel; of what is compressed an estimate, for the pictures decide.
 _BITS = {"MJPG": 2.0, "JPEG": 2.0, "H264": 0.3, "HEVC": 0.3, "GREY": 8.0, "RGB3": 24.0}
-_OTHER_BITS = 16.0
+"""A pixel; of what is compressed an estimate, for the pictures decide. All others have 16."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +27,8 @@ class Mode:
     rates_hz: tuple[float, ...]  # pictures a second, highest first; empty if unknown
 
     def mbit_s(self, rate_hz: float) -> float:
-        """What it needs of a bus; of compressed pictures an estimate."""
-        return 1e-6 * math.prod(self.size_wh) * _BITS.get(self.form, _OTHER_BITS) * rate_hz
+        """What it needs of a bus."""
+        return 1e-6 * math.prod(self.size_wh) * _BITS.get(self.form, 16.0) * rate_hz
 
 
 @dataclass(frozen=True)
@@ -52,11 +51,12 @@ class FoundCamera:
     ) -> tuple[Mode, float] | None:
         """The mode and the rate that such a request gives, motion JPEG first; None if unknown."""
         now = self.now or Mode("", (0, 0), ())
+        own = () if size_wh else now.rates_hz
         fitting = [one for one in self.modes if one.size_wh == (size_wh or now.size_wh)]
-        for mode in sorted(fitting, key=lambda one: one.form != "MJPG"):
-            for rate in filter(None, (rate_hz, *(() if size_wh else now.rates_hz), *mode.rates_hz)):
-                return mode, rate
-        return None
+        modes = sorted(fitting, key=lambda one: one.form != "MJPG")
+        return next(
+            ((m, rate) for m in modes for rate in (rate_hz, *own, *m.rates_hz) if rate), None
+        )
 
 
 def find_devices() -> list[FoundCamera]:
@@ -74,13 +74,7 @@ def bus_notes(
     sizes_wh: Mapping[str, tuple[int, int]],
     rate_hz: float | None,
 ) -> list[str]:
-    """A sentence for each USB bus that cannot carry what is asked of its cameras.
-
-    Args:
-        cameras: by their names in the recording.
-        sizes_wh: of the pictures asked for; a camera's own where not given.
-        rate_hz: pictures a second, likewise.
-    """
+    """A sentence for each USB bus that cannot carry what is asked for, or is set if nothing is."""
     buses = defaultdict[tuple[str, float], dict[str, tuple[Mode, float]]](dict)
     for name, one in cameras.items():
         if one.bus and (asked := one.asked(sizes_wh.get(name), rate_hz)):
@@ -128,7 +122,7 @@ def _look_at(path: Path) -> FoundCamera | None:
                 name=device.info.card,
                 now=Mode(now.pixel_format.human_str(), (now.width, now.height), (rate,)),
                 modes=tuple(Mode(*key, tuple(sorted(rates[key], reverse=True))) for key in rates),
-                controls=controls_of(device),
+                controls=tuple(DeviceControls(path).read().values()),
             )
     except CaptureError as problem:
         return replace(found, problem=str(problem))
@@ -148,11 +142,9 @@ def _usb(path: Path) -> tuple[str, float, tuple[str, ...]]:
 
 
 def _lasting(path: str, unique: bool) -> str:
-    """The address of a device that survives replugging; its path if it has none.
-
-    `by-id` is made of maker, kind and serial number. Cameras that have all that in common are told
-    apart only by the socket that they are in.
-    """
+    """The address of a device that survives replugging; its path if it has none."""
+    # `by-id` is made of maker, kind and serial number: where cameras have all that in common only
+    # the socket that they are in tells them apart.
     for folder in ("by-id", "by-path") if unique else ("by-path",):
         for link in sorted((DEV / "v4l" / folder).glob("*")):
             if link.resolve() == Path(path).resolve():

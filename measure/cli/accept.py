@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutputFile
+from measure.cli.console import JsonFlag, OutFile
 
 
 def accept(
@@ -13,7 +13,7 @@ def accept(
     /,
     *,
     lengths: Path,
-    output: OutputFile | None = None,
+    output: OutFile | None = None,
     body: str | None = None,
     json: JsonFlag = False,
 ) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutputFile
+from measure.cli.console import JsonFlag, OutFile
 from measure.cli.options import InjectedRegistry
 
 
@@ -16,7 +16,7 @@ def body(
     radius_mm: float,
     like: Path | None = None,
     origin: str | None = None,
-    output: OutputFile,
+    output: OutFile,
     calibration: Path | None = None,
     profile: str = "precise",
     json: JsonFlag = False,

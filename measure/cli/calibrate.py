@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Literal
 
 from measure.cli import console
-from measure.cli.console import CalibrationFormat, JsonFlag, OutputFile
+from measure.cli.console import CalibrationFormat, JsonFlag, OutFile
 
 
 def calibrate(
     capture: Path,
     /,
     *,
-    output: OutputFile,
+    output: OutFile,
     method: Literal["joint", "paper"] = "joint",
     body: Path | None = None,
     file_format: CalibrationFormat = "triball",

@@ -20,7 +20,6 @@ from measure.processes import Progress
 JsonFlag = Annotated[bool, Parameter(name="--json", help="Print one JSON object and nothing else.")]
 """Type of every command's `json` option."""
 OutFile = Annotated[Path, Parameter(name=("--out", "-o"))]
-OutputFile = Annotated[Path, Parameter(name=("--output", "-o"))]
 CalibrationFormat = Annotated[
     Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
 ]

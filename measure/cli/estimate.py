@@ -22,7 +22,7 @@ def estimate(
     /,
     *,
     input_: Annotated[Path | None, Parameter(name="--input")] = None,
-    output: Path | None = None,
+    output: Annotated[Path | None, Parameter(name=("--out", "-o", "--output"))] = None,
     rezero: Path | None = None,
     true_positions: Path | None = None,
     host: str = "127.0.0.1",
@@ -54,9 +54,9 @@ def estimate(
     from measure.errors import ConfigError
 
     if (input_ is None) and (output is not None):
-        raise ConfigError("--output needs --input: live estimates go back by UDP")
+        raise ConfigError("--out needs --input: live estimates go back by UDP")
     if input_ is not None and output is None:
-        raise ConfigError("--input needs --output: where shall the errors go?")
+        raise ConfigError("--input needs --out: where shall the errors go?")
     if input_ is None and true_positions is not None:
         raise ConfigError("--true-positions needs --input: live ones come by UDP")
     path = api.model_file(model)

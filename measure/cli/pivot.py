@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutputFile
+from measure.cli.console import JsonFlag, OutFile
 
 if TYPE_CHECKING:
     from measure.api import TipResult
@@ -16,7 +16,7 @@ def pivot(
     run: Path,
     /,
     *,
-    output: OutputFile | None = None,
+    output: OutFile | None = None,
     spin: Path | None = None,
     body: str | None = None,
     json: JsonFlag = False,

@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import CalibrationFormat, JsonFlag, OutputFile
+from measure.cli.console import CalibrationFormat, JsonFlag, OutFile
 from measure.cli.options import InjectedRegistry
 from measure.errors import ConfigError
 
@@ -31,7 +31,7 @@ class _OutputOptions:
         body_output: body file to write, with the balls where the recording puts them.
     """
 
-    output: OutputFile
+    output: OutFile
     file_format: CalibrationFormat = "triball"
     body_output: Path | None = None
 

@@ -10,7 +10,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutputFile
+from measure.cli.console import JsonFlag, OutFile
 from measure.cli.options import RobotOptions
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def register(
     runs: tuple[Path, ...] = (),
     /,
     *,
-    output: OutputFile,
+    output: OutFile,
     source: RobotOptions = RobotOptions(),
     options: _RegisterOptions = _RegisterOptions(),
     json: JsonFlag = False,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutputFile
+from measure.cli.console import JsonFlag, OutFile
 from measure.cli.options import InjectedRegistry
 
 
@@ -13,7 +13,7 @@ def sync(
     session: Path,
     /,
     *,
-    output: OutputFile | None = None,
+    output: OutFile | None = None,
     overwrite: bool = False,
     seconds: float = 120.0,
     profile: str = "precise",

@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutputFile
+from measure.cli.console import JsonFlag, OutFile
 
 
-def target(
-    target_file: Path, /, *, output: OutputFile | None = None, json: JsonFlag = False
-) -> None:
+def target(target_file: Path, /, *, output: OutFile | None = None, json: JsonFlag = False) -> None:
     """Draw a printable board, marker field or body.
 
     Args:

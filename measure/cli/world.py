@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutputFile
+from measure.cli.console import JsonFlag, OutFile
 from measure.errors import ConfigError
 
 
@@ -21,7 +21,7 @@ def world(
     at: float | None = None,
     rest: int | None = None,
     points: tuple[int, int, int] | None = None,
-    output: OutputFile,
+    output: OutFile,
     body: str | None = None,
     json: JsonFlag = False,
 ) -> None:

@@ -95,7 +95,7 @@ def test_a_control_that_does_not_take_its_value_is_told(webcam):
 
 def test_locking_keeps_what_automatic_control_has_found(webcam, monkeypatch):
     """And sets it again when the camera, unplugged meanwhile, has forgotten it."""
-    monkeypatch.setattr("measure.capture.controls._STEADY_S", 0.05)
+    monkeypatch.setattr("measure.capture.controls._READ_EVERY_S", 0.005)
     device, path = webcam
     controls = DeviceControls(path, {"gain": "10"})
     controls.apply()
@@ -199,7 +199,7 @@ def test_controls_are_set_by_a_command_and_written_into_the_session(
     monkeypatch.setattr(
         "measure.capture.addresses.CameraAddress.is_device", property(lambda self: True)
     )
-    monkeypatch.setattr("measure.capture.controls._STEADY_S", 0.05)
+    monkeypatch.setattr("measure.capture.controls._READ_EVERY_S", 0.005)
     _, path = webcam
     cameras = [f"cam0={path}", f"cam1={path}", "--seconds", "0.4"]
     out = tmp_path / "kept"

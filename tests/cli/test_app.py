@@ -71,7 +71,7 @@ def test_a_size_that_cannot_be_printed(tmp_path, capsys, key, mm):
     lines = [f"{key} = {mm}" if line.startswith(key) else line for line in board.splitlines()]
     target = tmp_path / "board.toml"
     target.write_text("\n".join(lines))
-    assert main(["target", str(target), "--output", str(tmp_path / "sheet.pdf")]) == 2
+    assert main(["target", str(target), "--out", str(tmp_path / "sheet.pdf")]) == 2
     place = f"{target}:{lines.index(f'{key} = {mm}') + 1}: '{key}'"
     assert capsys.readouterr().err.startswith(f"measure: {place}: input should be ")
 
@@ -86,7 +86,7 @@ def test_a_path_that_is_none_of_ours_is_a_mistake(monkeypatch, capsys, number):
 def test_an_output_in_a_folder_that_is_not_there(tmp_path, capsys):
     target = Path(__file__).parents[2] / "calibration_targets/raven_three_ball.toml"
     sheet = tmp_path / "none/sheet.pdf"
-    assert main(["target", str(target), "--output", str(sheet)]) == 2
+    assert main(["target", str(target), "--out", str(sheet)]) == 2
     assert capsys.readouterr().err == f"measure: {sheet}: No such file or directory\n"
 
 
@@ -112,7 +112,7 @@ def test_the_integer_a_command_returns_is_the_exit_code(monkeypatch):
         (["plugins", "show"], "plugins show needs NAME: "),
         (["run", "S"], "run needs --out (or -o): the run's folder, made if it is not there."),
         (["run", "S", "-o"], "run needs --out (or -o): the run's folder, made if it is not there."),
-        (["refine", "S"], "refine needs --output (or -o): the calibration to write."),
+        (["refine", "S"], "refine needs --out (or -o): the calibration to write."),
         (["evaluate"], "evaluate needs RUN: "),
         (
             ["export", "R"],

@@ -67,7 +67,7 @@ class Subject:
 
 _RUN = "run {}/SESSION -o {}/new --profile paper --no-recording"
 _LOG = "dataset {}/poses.csv --robot-log {}/robot/FILE -o {}/new.parquet --clock-offset-s 0"
-_ESTIMATE = "estimate {}/model.onnx --input {}/robot/FILE --output {}/new.csv"
+_ESTIMATE = "estimate {}/model.onnx --input {}/robot/FILE --out {}/new.csv"
 
 
 def _measured(name: str, file: str, *more: Mutation, session: str = "still") -> Subject:

@@ -44,7 +44,7 @@ def test_pictures_to_correction_of_a_ur5e(
     # So few labels teach links nothing, and one recording promises nothing.
     assert "at least 26 are needed" in do(f"{TRAIN} --estimator kinematic", 2)
     assert "Nothing is promised" in do(f"{TRAIN} --estimator ridge --set features=pose")
-    do("estimate model.onnx --input second/robot.csv --output out.csv")
+    do("estimate model.onnx --input second/robot.csv --out out.csv")
     assert len(Path("out.csv").read_text().splitlines()) == 1251
     reported, corrected = any_robot.errors(tmp_path)
     assert 0.3 < reported < 3.0

@@ -32,7 +32,7 @@ def test_pictures_to_correction(tmp_path: Path, capsys: pytest.CaptureFixture[st
     words = ["train", str(data), "-o", str(model), "--estimator", "ridge"]
     assert main([*words, "--set", "features=pose", "--set", "penalty=1"]) == 0
     log = str(second / "robot.parquet")
-    assert main(["estimate", str(model), "--input", log, "--output", str(out)]) == 0
+    assert main(["estimate", str(model), "--input", log, "--out", str(out)]) == 0
     before, after = _rms(second, out)
     assert before > 3.0
     assert after < 0.5 * before

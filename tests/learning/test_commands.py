@@ -33,7 +33,7 @@ def test_train_estimate_and_ablate(
     assert "measure" in card
     listed = card.split("## A state")[1].split("## The file")[0]
     assert re.findall(r"`(\w+)`", listed.split("order:")[1]) == list(OnnxModel.load(model).features)
-    assert main(["estimate", str(model), "--input", str(data), "--output", str(out)]) == 0
+    assert main(["estimate", str(model), "--input", str(data), "--out", str(out)]) == 0
     assert "720 corrected" in capsys.readouterr().out
     from pyarrow import parquet
 
@@ -104,7 +104,7 @@ def test_mistakes_are_explained(
             "unknown setting 'gruss'",
         ),
         (["estimate", str(junk)], "not a usable ONNX file"),
-        (["estimate", str(junk), "--output", "x"], "--output needs --input"),
+        (["estimate", str(junk), "--out", "x"], "--out needs --input"),
         (["dataset", "-o", "x.parquet"], "give runs, or --simulate-min"),
         (["dataset", str(one), "--robot", "atlas", "-o", "x.parquet"], "no robot schema 'atlas'"),
     ]
@@ -206,7 +206,7 @@ def test_files_that_do_not_fit_are_refused(
             "lacking.csv: lacks 2 of 118 columns: tau_0, jpos_1",
         ),
         (
-            ["estimate", at["good.onnx"], "--input", at["lacking.csv"], "--output", out],
+            ["estimate", at["good.onnx"], "--input", at["lacking.csv"], "--out", out],
             "lacks 2 of 118 columns: tau_0, jpos_1",
         ),
         (
@@ -214,7 +214,7 @@ def test_files_that_do_not_fit_are_refused(
             "the measured positions look like metres",
         ),
         (
-            ["estimate", at["other.onnx"], "--input", at["log.csv"], "--output", out],
+            ["estimate", at["other.onnx"], "--input", at["log.csv"], "--out", out],
             "other.onnx: damaged, its checksum does not match",
         ),
         (

@@ -102,7 +102,7 @@ def test_a_table_of_true_positions(
     left = []
     for name, more in (("plain", []), ("followed", ["--true-positions", str(poses)])):
         out = tmp_path / f"{name}.csv"
-        words = ["estimate", str(model_path), "--input", str(states), "--output", str(out)]
+        words = ["estimate", str(model_path), "--input", str(states), "--out", str(out)]
         assert main([*words, *more]) == 0
         errors = Table.read(out).numbers("ex", "ey", "ez")
         kept = data.usable & (np.arange(len(data)) % 10 != 0)

@@ -19,7 +19,7 @@ pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
 def _estimate(folder: Path, states: str, *more: str) -> list[str]:
     words = ["estimate", str(folder / "model.onnx"), "--input", str(folder / states)]
-    return [*words, "--output", str(folder / "out.csv"), *more]
+    return [*words, "--out", str(folder / "out.csv"), *more]
 
 
 def test_recorded_states_that_cannot_be_corrected(
@@ -62,7 +62,7 @@ def test_what_is_read_is_not_written_over(folder: Path, capsys: pytest.CaptureFi
     again.symlink_to(log)
     model, run = folder / "model.onnx", folder / "left.csv"
     for out in (log, again):
-        line = _refused(capsys, "estimate", model, "--input", log, "--output", out)
+        line = _refused(capsys, "estimate", model, "--input", log, "--out", out)
         assert "is one of the files to be read" in line
         made = _refused(capsys, "dataset", run, "--robot-log", log, "--out", out)
         assert "is one of the files to be read" in made
@@ -72,7 +72,7 @@ def test_what_is_read_is_not_written_over(folder: Path, capsys: pytest.CaptureFi
 def test_an_output_goes_into_a_folder_that_is_made(folder: Path) -> None:
     out = folder / "new/corrected.csv"
     words = ["estimate", str(folder / "model.onnx"), "--input", str(folder / "left.csv")]
-    assert main([*words, "--output", str(out)]) == 0
+    assert main([*words, "--out", str(out)]) == 0
     assert out.exists()
 
 
@@ -90,9 +90,7 @@ def test_neither_a_model_nor_a_card_is_written_over(folder: Path, capsys) -> Non
     """Nor is the card of a data set by the card of the model that is trained on it."""
     data, model, card = (folder / name for name in ("data.parquet", "model.onnx", "data.card.json"))
     before = model.read_bytes(), card.read_bytes()
-    line = _refused(
-        capsys, "estimate", model, "--input", folder / "left.parquet", "--output", model
-    )
+    line = _refused(capsys, "estimate", model, "--input", folder / "left.parquet", "--out", model)
     assert "is one of the files to be read" in line
     line = _refused(capsys, "train", data, "-o", folder / "data.onnx", "--estimator", "offset")
     assert "data.card.json, the card of the data: give the model another name" in line
@@ -207,7 +205,7 @@ def test_outputs_that_cannot_be_written(folder: Path, capsys: pytest.CaptureFixt
     space.write_text("[penalty]\nlow = 1\nhigh = 2\n")
     for suffix in ("onnx", "parquet", "log"):
         (folder / f"taken.{suffix}").mkdir()
-    estimate = ("estimate", model, "--input", log, "--output")
+    estimate = ("estimate", model, "--input", log, "--out")
     for words, reason in (
         (("train", data, "-o", folder / "taken.onnx"), "is a folder"),
         (("dataset", log, "--robot-log", log, "-o", folder / "taken.parquet"), "is a folder"),
@@ -227,7 +225,7 @@ def test_the_measured_minute_is_not_written_over(
     data, log = folder / "data.parquet", folder / "left.csv"
     before = data.read_bytes()
     words = ["estimate", str(folder / "model.onnx"), "--rezero", str(data), "--input", str(log)]
-    assert main([*words, "--output", str(data)]) == 2
+    assert main([*words, "--out", str(data)]) == 2
     assert "is one of the files to be read" in capsys.readouterr().err
     assert data.read_bytes() == before
 

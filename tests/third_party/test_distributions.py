@@ -33,7 +33,7 @@ def test_printable_targets_are_installed_with_it(environment: Environment, tmp_p
     help_text = environment.measure("target", "--help").stdout
     assert all(name.removesuffix(".toml") in help_text for name in shipped)
     sheet = str(tmp_path / "sheet.svg")
-    assert environment.measure_json("target", shipped[0], "--output", sheet)["output"] == sheet
+    assert environment.measure_json("target", shipped[0], "--out", sheet)["output"] == sheet
 
 
 def test_a_plugin_is_listed_beside_the_built_ins(environment: Environment):
@@ -122,7 +122,7 @@ def test_an_estimator_learns_and_its_model_runs_without_it(environment: Environm
     for words in (
         ("dataset", "--simulate-min", "2", "--seed", "3", "--out", data),
         ("train", data, "--estimator", "linear", "--out", model),
-        ("estimate", model, "--input", data, "--output", out, "--disable", "linear"),
+        ("estimate", model, "--input", data, "--out", out, "--disable", "linear"),
     ):
         done = environment.measure(*words, *WITHOUT_CLASH)
         assert done.returncode == 0, done.stderr
