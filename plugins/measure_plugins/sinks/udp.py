@@ -31,8 +31,9 @@ class UdpSink(Sink):
         """Read the address and load the libraries."""
         self._family, self._place = _place(*host_port(self.address))
         self._socket: socket.socket | None = None
-        is_osc = self.config.format == "osc"
-        self._osc = needed("pythonosc.osc_message_builder", "osc") if is_osc else None
+        self._osc: Any = None
+        if self.config.format == "osc":
+            self._osc = needed("pythonosc.osc_message_builder", "osc")
 
     def open(self) -> None:
         """Open the socket."""
@@ -81,7 +82,7 @@ class UdpSink(Sink):
 
     def _message(self, path: str, *values: Any) -> bytes:
         """An OSC message; a value may be a pair of its type and itself."""
-        message = needed("pythonosc.osc_message_builder", "osc").OscMessageBuilder(path)
+        message = self._osc.OscMessageBuilder(path)
         for value in values:
             kind, plain = value if isinstance(value, tuple) else (None, value)
             message.add_arg(plain, kind)
