@@ -90,10 +90,10 @@ def play(
 def _turns(times_s: Floats, options: PlayOptions) -> Iterator[tuple[int, float]]:
     """Number of every frame set to be played, and its turn in seconds from the start."""
     period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
-    whole_s = float(times_s[-1] - times_s[0]) + period_s
+    since_s = (times_s - times_s[0]).tolist()
     for round_ in count() if options.loop else (0,):
-        for number, time_s in enumerate(times_s.tolist()):
-            yield number, (round_ * whole_s + time_s - times_s[0]) / options.rate
+        for number, time_s in enumerate(since_s):
+            yield number, (round_ * (since_s[-1] + period_s) + time_s) / options.rate
 
 
 def _viewer(stack: ExitStack, reel: _Reel, address: str | None) -> Callable[[int], None]:

@@ -10,12 +10,16 @@ import time
 
 import numpy as np
 import pytest
+import rerun as rr
 
 from benchmarks.sinks import address, write_run
 from measure.api import PlayOptions, play
 from measure.cli import main
 from measure.host import Registry
+from measure.viewing import entities, recording
 from tests.receiving import check_same, receiving
+from tests.results.conftest import BODY, measurement, open_writer
+from tests.viewing.reading import column, read_recording
 
 FRAMES = 150
 
@@ -132,3 +136,22 @@ def test_what_cannot_be_played_is_one_line(run, capsys, more, told):
 def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
     assert main(["play", str(tmp_path), "--send", "udp://127.0.0.1:5"]) == 2
     assert "is no run" in capsys.readouterr().err
+
+
+def test_a_viewer_is_shown_poses_and_balls(tmp_path, monkeypatch):
+    with open_writer(tmp_path / "run") as writer:
+        for k in range(5):
+            writer.append(measurement(k, lost=k == 3))
+        writer.finish()
+    monkeypatch.setattr(recording, "check_listening", lambda address: None)
+    monkeypatch.setattr(recording.rr, "GrpcSink", lambda _: rr.FileSink(tmp_path / "seen.rrd"))
+    options = PlayOptions(viewer="nowhere", wait_s=0.0, rate=10.0)
+    assert play(tmp_path / "run", Registry([]), options).frame_sets == 5
+    seen = read_recording(tmp_path / "seen.rrd")
+    trail = column(seen[entities.TRAIL], "Points3D:positions")
+    balls = column(seen[entities.ball("green")], "Ellipsoids3D:centers")
+    for k in (0, 1, 2, 4):
+        pose = measurement(k).pose.world_from_body
+        np.testing.assert_allclose(trail[k], [pose.translation], atol=1e-4)
+        np.testing.assert_allclose(balls[k], pose.apply(BODY.centers[:1]), atol=1e-4)
+    assert not trail[3]
