@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import copy
 import hashlib
 import os
 import re
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable
 from functools import cache
 from importlib.util import resolve_name
@@ -14,7 +18,9 @@ from typing import Any, TypeVar, cast
 
 import llvmlite.binding as llvm
 import numba
+from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
+from numba.core.types.misc import unliteral
 
 _IMPORT = re.compile(r"^(?:from +([\w.]+) +import +(?:\(([^)]*)\)|(.*))|import +([\w.]+))", re.M)
 """Imports at the top level; kernels use nothing of indented ones."""
@@ -75,6 +81,8 @@ def _imported(module: str, file: str) -> list[str]:
     return found
 
 
+_FOR_NOW = "triball-code-"
+"""How temporary folders for machine code are called."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Loops here run over a few dozen rays or points. Unrolled they compile 20 % and run 5 % slower.
@@ -111,16 +119,52 @@ def folded(function: F) -> F:
 
 def inlined(function: F) -> F:
     """Compile a function into its compiled callers only; no machine code of its own is kept."""
-    return cast("F", numba.njit(nogil=True, error_model="numpy", forceinline=True)(function))
+    kernel = numba.njit(nogil=True, error_model="numpy", forceinline=True)(function)
+    return cast("F", _of_plain_types(kernel))
+
+
+def is_kept_for_now() -> bool:
+    """Whether what is compiled goes when the process ends: no lasting place can be written."""
+    return Path(numba.config.CACHE_DIR).name.startswith(_FOR_NOW)
+
+
+def share_compiled(since_s: float) -> float:
+    """Of all kernels of loaded modules, those in use, or compiled elsewhere since then (1970)."""
+    modules = [m for name, m in list(sys.modules.items()) if name.startswith("measure")]
+    loaded = [one for module in modules for one in list(vars(module).values())]
+    kernels = {one for one in loaded if isinstance(one, CPUDispatcher) and one.stats.cache_path}
+    files = {one: Path(one._cache._cache_file._index_path) for one in kernels}  # noqa: SLF001
+    done = [
+        one.overloads or (file.exists() and file.stat().st_mtime > since_s)
+        for one, file in files.items()
+    ]
+    return sum(map(bool, done)) / max(len(done), 1)
 
 
 def _kept_on_disk(function: F, **options: str) -> F:
-    kernel = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+    compile_it = numba.njit(cache=True, nogil=True, error_model="numpy", **options)
+    try:
+        kernel = compile_it(function)
+    except RuntimeError:  # Neither the installation nor the user's folder can be written
+        folder = tempfile.mkdtemp(prefix=_FOR_NOW)
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = folder
+        kernel = compile_it(function)
     _tie(kernel, digest(function.__module__))
-    return cast("F", kernel)
+    return cast("F", _of_plain_types(kernel))
 
 
-def _tie(kernel: object, stamp: str) -> None:
+def _of_plain_types(kernel: Any) -> Any:
+    """The kernel, compiled once for all integers: Numba takes each constant for a type."""
+    template = getattr(kernel, "get_call_template", None)
+    if template is not None:
+        kernel.get_call_template = lambda args, kws: template(
+            tuple(map(unliteral, args)), {name: unliteral(kws[name]) for name in kws}
+        )
+    return kernel
+
+
+def _tie(kernel: Any, stamp: str) -> None:
     """Invalidate a kernel's cached machine code when the stamp or its argument types change.
 
     By numba's private members: it has no public way, and its own version is compared before a file
@@ -132,6 +176,16 @@ def _tie(kernel: object, stamp: str) -> None:
     if kept is not None:
         kept._version = f"{kept._version} {stamp}"  # noqa: SLF001
         cache.load_overload = _same_types_only(cache.load_overload)
+        if not numba.config.CACHE_DIR or is_kept_for_now():
+            _read_beside_source(kept, Path(_file(kernel.__module__)).parent / "__pycache__")
+
+
+def _read_beside_source(kept: Any, folder: Path) -> None:
+    """Use also what was compiled where the installation could be written, by whoever made it."""
+    beside, own = copy.copy(kept), kept.load
+    beside._cache_path = str(folder)  # noqa: SLF001
+    beside._index_path = str(folder / kept._index_name)  # noqa: SLF001
+    kept.load = lambda key: own(key) or beside.load(key)
 
 
 def _same_types_only(load: Callable[..., Any]) -> Callable[..., Any]:

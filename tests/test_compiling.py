@@ -61,6 +61,30 @@ def both(x, y):
 x, y = np.full(2, 3), np.full(2, 5.0)
 print(*{halved})
 """
+_BY_OTHERS = """from numba.core import caching
+caching.CacheImpl._locator_classes = caching.CacheImpl._locator_classes[{places}]
+from measure.compiling import is_kept_for_now
+from parts.whole import whole
+print(whole(1.0), sum(whole.stats.cache_hits.values()), is_kept_for_now())
+"""
+_CONSTANTS = """from measure.compiling import compiled
+from parts.part import part
+
+@compiled
+def several(x):
+    return part(1) + part(2) + part(x)
+"""
+_CALL_CONSTANTS = """from parts.constants import several
+from parts.part import part
+print(several(3), len(part.signatures))
+"""
+_SHARE = """import sys, time
+import parts.part, parts.whole
+from measure.compiling import share_compiled
+sys.modules |= {"measure.one": parts.part, "measure.two": parts.whole}
+now = time.time() + 60.0
+print(share_compiled(now), share_compiled(0.0), parts.whole.whole(1.0), share_compiled(now))
+"""
 _WAYS = "(halved(x), halved(y))", "both(x, y)"
 _LEVEL = """import numba
 import measure.compiling
@@ -102,7 +126,7 @@ def _call(package: Path) -> list[float]:
     return _printed(_CALL, package.parent)
 
 
-def _printed(program: str, folder: Path) -> list[float]:
+def _printed(program: str, folder: Path, **environment: str) -> list[float]:
     """The numbers that a program prints; it finds modules in the folder, and keeps code there."""
     paths = [str(folder), *(path for path in sys.path if path)]
     done = subprocess.run(
@@ -111,12 +135,13 @@ def _printed(program: str, folder: Path) -> list[float]:
             **os.environ,
             "PYTHONPATH": os.pathsep.join(paths),
             "NUMBA_CACHE_DIR": str(folder / "cache"),
+            **environment,
         },
         capture_output=True,
         text=True,
         check=True,
     )
-    return [float(word) for word in done.stdout.split()]
+    return [float(word) for word in done.stdout.replace("True", "1").replace("False", "0").split()]
 
 
 @pytest.mark.parametrize(("changed", "answer"), [((3.0, 0.5), 3.5), ((2.0, 7.5), 9.5)])
@@ -150,6 +175,33 @@ def test_code_for_other_types_is_not_taken(package: Path) -> None:
     other.write_bytes(code)
     for call in (within, directly):
         assert _printed(call, package.parent) == [1.5, 2.5]
+
+
+def test_code_made_by_whoever_may_write_the_installation_serves_all(package: Path) -> None:
+    """Beside the source it is read by those who cannot write there, or nowhere."""
+    folder, beside = package.parent, package / "__pycache__"
+    theirs = {"NUMBA_CACHE_DIR": "", "XDG_CACHE_HOME": str(folder / "home")}
+    theirs["TMPDIR"] = str(folder)
+    home_only, nowhere = _BY_OTHERS.format(places="2:3"), _BY_OTHERS.format(places=":1")
+    assert _printed(_CALL, folder, **theirs) == [2.5, 0]
+    assert list(beside.glob("*.nbc"))
+    assert _printed(home_only, folder, **theirs) == [2.5, 1, 0]
+    assert _printed(nowhere, folder, **theirs) == [2.5, 1, 1]
+    for file in beside.glob("*.nb?"):
+        file.unlink()
+    assert _printed(nowhere, folder, **theirs) == [2.5, 0, 1]
+    assert not list(folder.glob("triball-code-*"))
+
+
+def test_constants_are_no_types_of_their_own(package: Path) -> None:
+    (package / "constants.py").write_text(_CONSTANTS, "utf-8")
+    assert _printed(_CALL_CONSTANTS, package.parent) == [12.0, 1]
+
+
+def test_the_share_counts_what_is_in_use_or_was_compiled_elsewhere(package: Path) -> None:
+    assert _printed(_SHARE, package.parent) == [0, 0, 2.5, 1]
+    # Loaded from disk, the outer one holds the inner one, which is in use nowhere else.
+    assert _printed(_SHARE, package.parent) == [0, 1, 2.5, 0.5]
 
 
 @pytest.mark.parametrize(("asked", "level"), [(None, 2), ("1", 1)])

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from measure.api.profiles import build_pipeline
+from measure.compiling import is_kept_for_now, share_compiled
 from measure.host import Registry
 from measure.measuring import Pipeline, Profile
 from measure.model import Body, Camera
@@ -58,10 +59,17 @@ def compilation_notice() -> Iterator[Callable[[], None]]:
 
 
 def _notify(over: threading.Event, compiled: Sequence[object]) -> None:
-    begun = time.monotonic()
+    begun_s = time.time()
     while not compiled:
         if over.wait(PATIENCE_S):
             return
-    _log.warning("compiling the hot loops: once after an installation, two to five minutes")
+    often = (
+        "each time, for no folder can be written: fill the installation with `measure prepare`"
+        if is_kept_for_now()
+        else "once after an installation"
+    )
+    _log.warning("compiling the hot loops: %s, two to five minutes", often)
     while not over.wait(AGAIN_S):
-        _log.warning("compiling the hot loops: %.0f s so far", time.monotonic() - begun)
+        share, taken_s = share_compiled(begun_s), time.time() - begun_s
+        left = f", about {taken_s * (1 / share - 1):.0f} s left" if share else ""
+        _log.warning("compiling the hot loops: %.0f %% done%s", 100 * share, left)

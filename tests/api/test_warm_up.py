@@ -50,7 +50,7 @@ def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
             numba.njit(_add_one)(1)
             time.sleep(0.2)
     assert "compiling" in caplog.text
-    assert "so far" not in caplog.text
+    assert "done" not in caplog.text
 
 
 def test_a_very_long_warm_up_shows_that_it_goes_on(monkeypatch, caplog):
