@@ -83,7 +83,7 @@ def read_tracks(runs: Sequence[Path], frame: Path | None, robot: str) -> list[Po
 
 def _of_restarts(tracks: Sequence[PoseTrack], restarts: Sequence[str]) -> list[PoseTrack]:
     """The tracks with their restarts' names before their own."""
-    if len(restarts) not in (0, 1, len(tracks)) or any("/" in name for name in restarts):
+    if len(restarts) not in (0, 1, len(tracks)) or any("/" in n or not n for n in restarts):
         raise ConfigError(
             f"--restart-name {' '.join(restarts)}: expected one name without '/' for all "
             f"{len(tracks)} runs, or one each"

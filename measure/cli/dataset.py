@@ -98,15 +98,10 @@ def dataset(
     else:
         from measure.learning import AssemblySettings
 
+        settings = AssemblySettings(**asdict(assembly))
+        logs, robot, topic = source.robot_log, source.robot, source.topic
         data, facts = api.make_dataset(
-            runs,
-            source.robot_log,
-            source.robot,
-            out,
-            AssemblySettings(**asdict(assembly)),
-            topic=source.topic,
-            frame=frame,
-            restarts=restart_name,
+            runs, logs, robot, out, settings, topic=topic, frame=frame, restarts=restart_name
         )
     labels = LabelFacts.of(data)
     if json:

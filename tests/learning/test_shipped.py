@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 
 from measure import api
-from measure.host import OnnxModel
-from measure.learning import (
-    PAPER_MINUTES,
-    PAPER_PAIRS,
-    AssemblySettings,
-    Score,
-    assemble,
-    evaluate,
-    rezero,
-    simulated_dataset,
-)
-from measure.learning.simulated import recording
-from measure.robots.simulator import Cables, simulate
+from measure.errors import EstimatorError
+from measure.host import Dataset, OnnxModel
+from measure.learning import PAPER_MINUTES, PAPER_PAIRS, Score, evaluate, rezero, simulated_dataset
+from measure.robots.simulator import Cables
 
 
 def test_the_shipped_network_corrects_a_restart_it_has_not_seen() -> None:
@@ -48,24 +39,16 @@ def test_the_shipped_network_says_what_it_is() -> None:
 
 @pytest.mark.slow
 def test_the_scores_on_its_card_are_true() -> None:
-    """A session of its data is simulated again; a test trajectory scores what the card says."""
+    """Six restarts that it has not seen, judged by the true tip at the true time, once more."""
     model = OnnxModel.load(api.shipped_model())
-    name, (before, after) = next(iter(model.card["scores"]["by_trajectory"].items()))
-    session = int(name.removeprefix("session_").partition("/")[0])
-    edges = np.round(np.linspace(0, PAPER_PAIRS, 5)).astype(int)
-    pairs, seconds = int(np.diff(edges)[session]), 60.0 * PAPER_MINUTES / 4
-    run = simulate(seconds, 1000 + session, log_hz=50.0)
-    made = recording(
-        run, f"session_{session:02d}", 1 + session, frame_hz=pairs / (seconds - 0.25), pairs=pairs
-    )
-    data, _ = assemble([made], AssemblySettings(cut_s=210.0))
-    assert name in model.card["data"]["test"]["trajectories"]
-    assert name not in model.card["data"]["training"]["trajectories"]
-    part = data.select([name])
-    result = evaluate(part, model.predict(part))
-    assert result.before.rms_mm == pytest.approx(before["rms_mm"], rel=1e-3)
-    assert result.after.rms_mm == pytest.approx(after["rms_mm"], rel=1e-2)
-    assert result.after.rows == after["rows"]
+    pairs = round(30.0 * PAPER_PAIRS / PAPER_MINUTES)
+    data, _ = simulated_dataset(minutes=30.0, pairs=pairs, restarts=6, seed=101, exact=True)
+    assert list(data.present()) == model.card["data"]["test"]["trajectories"]
+    assert not set(data.present()) & set(model.card["data"]["training"]["trajectories"])
+    result, scores = evaluate(data, model.predict(data)), model.card["scores"]
+    assert result.before.rms_mm == pytest.approx(scores["before"]["rms_mm"], rel=1e-3)
+    assert result.after.rms_mm == pytest.approx(scores["after"]["rms_mm"], rel=1e-2)
+    assert result.after.rows == scores["after"]["rows"]
 
 
 def test_it_is_fast_enough_for_a_kilohertz() -> None:
@@ -84,22 +67,33 @@ def test_it_is_fast_enough_for_a_kilohertz() -> None:
 
 @pytest.mark.parametrize("seed", [21, 22])
 def test_a_restart_is_no_drift_but_worn_cables_are(seed: int) -> None:
-    """The first minute removes what a restart left from the next one."""
+    """A measured minute removes from the next one, by the true tip, most of what a restart left.
+
+    Where cables have worn to twice the slack and friction, no joint offset is consistent any more,
+    or what is left is larger than stated.
+    """
     model = OnnxModel.load(api.shipped_model())
-    fresh, worn = (
-        simulated_dataset(minutes=2.0, pairs=706, restarts=1, seed=seed, cables=Cables(wear=wear))[
-            0
-        ]
-        for wear in (1.0, 1.4)
+    fresh, true, worn = (
+        simulated_dataset(
+            minutes=2.0, pairs=706, restarts=1, seed=seed, cables=Cables(wear=wear), exact=exact
+        )[0]
+        for wear, exact in ((1.0, False), (1.0, True), (2.0, False))
     )
     early = fresh.times_s - fresh.times_s[0] < 60.0
     zeroing, monitor = rezero(model, replace(fresh, usable=fresh.usable & early))
     assert not monitor.due
-    left = fresh.errors_mm - model.predict(fresh).errors_mm
-    judged = fresh.usable & ~early
-    before = Score.of(left[judged]).rms_mm
-    after = Score.of((left - zeroing.offset_mm(fresh.states))[judged]).rms_mm
-    assert after < min(0.5 * before, 0.4)
+    left = true.errors_mm - model.predict(true).errors_mm
+    late = true.times_s - true.times_s[0] >= 60.0
+    before = Score.of(left[late]).rms_mm
+    after = Score.of((left - zeroing.offset_mm(true.states))[late]).rms_mm
+    assert after < min(0.65 * before, 0.7)
     assert zeroing.sd_mm < 0.15
-    assert not rezero(model, fresh)[1].due
-    assert rezero(model, worn)[1].due
+    assert not _doubted(model, fresh)
+    assert _doubted(model, worn)
+
+
+def _doubted(model: OnnxModel, data: Dataset) -> bool:
+    try:
+        return rezero(model, data)[1].due
+    except EstimatorError:
+        return True

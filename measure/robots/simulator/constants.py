@@ -52,6 +52,11 @@ VELOCITY_FILTER_HZ = 20.0  # [A] low pass behind mvel and jvel
 DEGREE = np.pi / 180.0
 
 
+def _drives(*deg_mm: float) -> tuple[float, ...]:
+    """Of seven drives, in rad and m, from deg and mm."""
+    return tuple(1e-3 * x if i == 2 else DEGREE * x for i, x in enumerate(deg_mm))
+
+
 @dataclass(frozen=True)
 class Cables:
     """Cables, pulleys and links between the motors and the tip; all [A] unless marked.
@@ -76,38 +81,14 @@ class Cables:
     stiffness: tuple[float, ...] = (220.0, 160.0, 9000.0, 2.0, 1.5, 1.5, 1.5)
     stiffening: float = 0.6
     load: tuple[float, ...] = (3.0, 3.0, 10.0, 0.05, 0.05, 0.05, 0.05)
-    backlash: tuple[float, ...] = (
-        0.05 * DEGREE,
-        0.05 * DEGREE,
-        1e-4,
-        2.0 * DEGREE,
-        6.0 * DEGREE,
-        10.0 * DEGREE,
-        10.0 * DEGREE,
-    )
+    backlash: tuple[float, ...] = _drives(0.05, 0.05, 0.1, 2.0, 6.0, 10.0, 10.0)
     friction: tuple[float, ...] = (0.9, 0.8, 4.0, 0.02, 0.02, 0.02, 0.02)
     bristle: tuple[float, ...] = (1e-3, 1e-3, 1e-4, 6e-3, 6e-3, 6e-3, 6e-3)
     inertia: tuple[float, ...] = (0.08, 0.06, 0.35, 1e-4, 6e-5, 6e-5, 6e-5)
     damping: float = 0.25
     wrist: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 0.75, 0.2), (0.0, 0.2, 0.7))
-    homing: tuple[float, ...] = (
-        1.25 * DEGREE,
-        -1.5 * DEGREE,
-        2.6e-3,
-        3.0 * DEGREE,
-        -2.0 * DEGREE,
-        0.0,
-        0.0,
-    )
-    restart_sd: tuple[float, ...] = (
-        0.12 * DEGREE,
-        0.12 * DEGREE,
-        3e-4,
-        1.2 * DEGREE,
-        1.2 * DEGREE,
-        1.2 * DEGREE,
-        1.2 * DEGREE,
-    )
+    homing: tuple[float, ...] = _drives(1.25, -1.5, 2.6, 3.0, -2.0, 0.0, 0.0)
+    restart_sd: tuple[float, ...] = _drives(0.12, 0.12, 0.3, 1.2, 1.2, 1.2, 1.2)
     registration_mm: tuple[float, float, float] = (1.5, -1.0, 2.0)
     registration_rotvec_deg: tuple[float, float, float] = (0.3, -0.4, 0.2)
     registration_sd: tuple[float, float] = (0.3, 0.06)
