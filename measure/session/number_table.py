@@ -50,19 +50,18 @@ def read_number_table(
             the message starts with `prefix`, file and line.
     """
     text = read_text(path, error)
-    head = next((line for line in text.splitlines() if line.strip()), "")
+    head = next(filter(str.strip, text.splitlines()), "")
     separator = max(_SEPARATORS, key=head.count)  # a comma if none is there
     numbered = _numbered_rows(text, separator, f"{prefix}{path}", error)
     _, first = next(numbered, (1, []))
     header = [name.strip() for name in first]
     stamp = time_columns(header, time_column) if TIME in needed else None
-    found = [*header, TIME] if stamp is not None else header
+    found = {*header} if stamp is None else {*header, TIME}
     if missing := [name for name in (*words, *needed) if name not in found]:
         lacks = _lacks(missing, (*words, *needed), header, time_column)
         raise error(f"{prefix}{path}:1: {lacks}")
     reader = _RowReader(header, needed, separator, stamp, empty_is_nan)
-    rows, lines = [], list[int]()
-    texts: dict[str, list[str]] = {name: [] for name in words}
+    rows, lines, texts = list[list[float]](), list[int](), {name: list[str]() for name in words}
     for line, row in numbered:
         if any(cell.strip() for cell in row):
             try:
