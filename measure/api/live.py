@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from measure.api.folders import mark_event
-from measure.api.marks import marks_received
+from measure.api.marks import check_marks, marks_received
 from measure.api.measuring import measure_frame_sets
 from measure.api.profiles import RUN_FILE, build_pipeline
 from measure.api.recording import (
@@ -192,6 +192,7 @@ def _made_from(options: LiveOptions, *known: Any) -> Provenance:
 
 def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> None:
     """Refuse what must not be overwritten or cannot be shown, before anything is slow."""
+    check_marks(options.marks)
     if options.record is not None:
         check_apart(options.record, out)
         check_new(options.record, names)
