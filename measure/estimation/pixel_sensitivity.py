@@ -6,7 +6,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.model.lens import FISHEYE, distort_point
+from measure.model.lens import by_lens
 from measure.model.rig import RigRows
 from measure.model.rig_kernels import project_one
 
@@ -57,37 +57,6 @@ def ideal(rotation: Floats, center: Floats, point: Floats) -> tuple[float, float
     py = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
     pz = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
     return px / pz, py / pz
-
-
-@compiled
-def by_lens(x: float, y: float, lens: Floats, out: Floats) -> None:
-    """A pixel's derivatives (2, 12) by fx fy cx cy and the eight distortion coefficients."""
-    r2 = x * x + y * y
-    out[0, 0], out[1, 1] = distort_point(x, y, lens)
-    out[0, 2] = out[1, 3] = 1.0
-    if lens[FISHEYE] > 0:
-        r = np.sqrt(r2)
-        angle = np.arctan(r)
-        gain = angle * angle * (angle / r if r > 0 else 1.0)
-        for power in range(4):
-            _lens_column(out, 4 + power, x * gain, y * gain, lens)
-            gain *= angle * angle
-        return
-    below = 1 + r2 * (lens[10] + r2 * (lens[11] + r2 * lens[12]))
-    radial = (1 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[9]))) / below
-    for power in range(3):
-        gain = r2 ** (power + 1) / below
-        above = 8 if power == 2 else 4 + power
-        _lens_column(out, above, x * gain, y * gain, lens)
-        _lens_column(out, 9 + power, -radial * x * gain, -radial * y * gain, lens)
-    _lens_column(out, 6, 2 * x * y, r2 + 2 * y * y, lens)
-    _lens_column(out, 7, r2 + 2 * x * x, 2 * x * y, lens)
-
-
-@compiled
-def _lens_column(out: Floats, column: int, du: float, dv: float, lens: Floats) -> None:
-    out[0, column] = lens[0] * du + lens[1] * dv
-    out[1, column] = lens[3] * dv
 
 
 @compiled

@@ -16,8 +16,6 @@ from measure.model.rig_kernels import project_one, ray_rows, rows_between
 
 _MAX_STEPS = 12
 _STEP_TOLERANCE_MM = 1e-7
-_CLEAR_MARGIN = 10.0
-"""Factor beyond the limit of parallel rays at which the eigenvalues need not be computed."""
 FITTED, PARALLEL, BEHIND = 0, 1, 2
 """How a fit ends: with a point, without one for parallel rays, with one behind a camera."""
 
@@ -142,28 +140,11 @@ def nearest_to_rays(origins: Floats, directions: Floats) -> tuple[Floats, bool]:
                 right[a] += across * origins[i, b]
     if not np.all(np.isfinite(normal)):
         return point, True
-    if not _clearly_not_parallel(normal):
-        spread = np.linalg.eigvalsh(normal)
-        if spread[0] < spread[2] * MIN_PARALLAX_RAD**2:
-            return point, False
+    spread = np.linalg.eigvalsh(normal)
+    if spread[0] < spread[2] * MIN_PARALLAX_RAD**2:
+        return point, False
     point[:] = solved(normal, right)
     return point, True
-
-
-@compiled
-def _clearly_not_parallel(m: Floats) -> bool:
-    """Whether lines with the normal matrix (3, 3) are far from parallel, by a bound.
-
-    Its least eigenvalue is at least its determinant over the square of its trace, and the others
-    are at most the trace.
-    """
-    determinant = (
-        m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] ** 2)
-        - m[0, 1] * (m[0, 1] * m[2, 2] - m[1, 2] * m[0, 2])
-        + m[0, 2] * (m[0, 1] * m[1, 2] - m[1, 1] * m[0, 2])
-    )
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    return bool(determinant > _CLEAR_MARGIN * MIN_PARALLAX_RAD**2 * trace**3)
 
 
 @compiled

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats, floats
 from measure.geometry import Cone, Rays, RigidTransform, skew, tangent_cone
-from measure.model import distortion, fisheye
+
+if TYPE_CHECKING:
+    from measure.model.rig import RigRows
 
 Projection = Literal["pinhole", "fisheye"]
 """Lens models: a pinhole with distortion, or an equidistant fisheye, both as OpenCV has them."""
-_MODELS = {"pinhole": distortion, "fisheye": fisheye}
+_WIDEST_RAD = np.deg2rad(89.0)
 MIN_DEPTH_MM = 1e-6
 """Points nearer to the camera's plane than this, or behind it, have no image."""
 
@@ -73,23 +75,29 @@ class Intrinsics:
     @cached_property
     def reach(self) -> float:
         """Ideal (undistorted, normalised) radius beyond which the lens model sees nothing."""
-        return _MODELS[self.model].fold_radius(self.distortion)
+        fold = _fisheye_fold if self.model == "fisheye" else _pinhole_fold
+        return fold(self.distortion)
 
     def project(self, points_camera: ArrayLike) -> Floats:
         """Pixels (n, 2) of points (n, 3) in the camera frame.
 
         NaN for points not in front of it, or so far aside that the lens model folds.
         """
-        ideal, _ = self._ideal(floats("points_camera", points_camera, "n", 3))
-        bent, _ = _MODELS[self.model].distort(ideal, self.distortion)
-        return bent @ self.matrix[:2, :2].T + self.matrix[:2, 2]
+        return self._projected(floats("points_camera", points_camera, "n", 3))[0]
 
-    def _ideal(self, p: Floats) -> tuple[Floats, Floats]:
-        """Undistorted normalised points (n, 2) and depths (n,); NaN where there is no image."""
-        depth = np.where(p[:, 2] > MIN_DEPTH_MM, p[:, 2], np.nan)
-        ideal = p[:, :2] / depth[:, None]
-        seen = np.sum(ideal**2, axis=1, keepdims=True) < self.reach**2
-        return np.where(seen, ideal, np.nan), depth
+    def _projected(self, points_camera: Floats) -> tuple[Floats, Floats]:
+        """Pixels (n, 2) and their derivatives (n, 2, 3) by the points (n, 3)."""
+        from measure.model.rig_kernels import project_rows
+
+        return project_rows(self._alone, np.ascontiguousarray(points_camera))
+
+    @cached_property
+    def _alone(self) -> RigRows:
+        """As compiled code takes a camera that stands at the origin."""
+        from measure.model.rig import RigRows
+
+        place = np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 18, 18))
+        return RigRows(self.row[None], np.array([self.reach]), *place, MIN_DEPTH_MM)
 
     def project_with_jacobians(self, points_camera: ArrayLike) -> tuple[Floats, Floats, Floats]:
         """Project, with analytic derivatives.
@@ -101,31 +109,22 @@ class Intrinsics:
             Pixels (n, 2); their Jacobian by the point (n, 2, 3); and by fx fy cx cy and the eight
             distortion coefficients (n, 2, 12).
         """
-        p = floats("points_camera", points_camera, "n", 3)
-        ideal, depth = self._ideal(p)
-        lens = _MODELS[self.model]
-        bent, by_ideal, by_coefficient = lens.distort_with_jacobians(ideal, self.distortion)
-        affine, centre = self.matrix[:2, :2], self.matrix[:2, 2]
-        ideal_by_point = np.zeros((len(p), 2, 3))
-        ideal_by_point[:, 0, 0] = ideal_by_point[:, 1, 1] = 1 / depth
-        ideal_by_point[:, :, 2] = -ideal / depth[:, None]
-        by_intrinsics = np.zeros((len(p), 2, 12))
-        by_intrinsics[:, 0, 0], by_intrinsics[:, 1, 1] = bent[:, 0], bent[:, 1]
-        by_intrinsics[:, 0, 2] = by_intrinsics[:, 1, 3] = 1.0
-        by_intrinsics[:, :, 4:] = affine @ by_coefficient
-        return bent @ affine.T + centre, affine @ by_ideal @ ideal_by_point, by_intrinsics
+        from measure.model.rig_kernels import by_intrinsics
+
+        points = np.ascontiguousarray(floats("points_camera", points_camera, "n", 3))
+        pixels, by_point = self._projected(points)
+        by_lens = by_intrinsics(points, self.row)
+        by_lens[np.isnan(pixels[:, 0])] = np.nan
+        return pixels, by_point, by_lens
 
     def unproject(self, pixels: ArrayLike) -> Floats:
         """Unit bearings (n, 3) of pixels (n, 2); NaN where the lens model has no inverse.
 
         Points are undistorted, never images: resampling blurs the very edges that are measured.
         """
-        uv = floats("pixels", pixels, "n", 2)
-        affine = np.linalg.inv(self.matrix[:2, :2])
-        bent: Floats = (uv - self.matrix[:2, 2]) @ affine.T
-        ideal = _MODELS[self.model].undistort(bent, self.distortion, self.reach)
-        rays = np.column_stack([ideal, np.ones(len(ideal))])
-        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        from measure.model.rig_kernels import ray_rows
+
+        return ray_rows(np.ascontiguousarray(floats("pixels", pixels, "n", 2)), self._alone)
 
     def outline(self, cone: Cone, count: int = 72) -> Floats:
         """The outline of a sphere, distortion and all: `count` pixels (count, 2) around it."""
@@ -136,6 +135,37 @@ class Intrinsics:
         upper = np.asarray(self.size_wh) - 1 - margin_px
         with np.errstate(invalid="ignore"):
             return np.all((pixels >= margin_px) & (pixels <= upper), axis=-1)
+
+
+def _pinhole_fold(coefficients: Floats) -> float:
+    """The ideal radius up to which the radial distortion grows; infinite if it always does.
+
+    With s = r^2 the distorted radius is r A(s) / B(s); it turns back where its derivative's
+    numerator A B + 2 s (A' B - A B') or the denominator B vanishes.
+    """
+    k1, k2, _, _, k3, k4, k5, k6 = coefficients
+    above, below = np.array([1.0, k1, k2, k3]), np.array([1.0, k4, k5, k6])
+    rising, falling = (np.arange(1.0, 4.0) * p[1:] for p in (above, below))
+    slope = np.convolve(above, below)
+    slope[1:] += 2 * (np.convolve(rising, below) - np.convolve(above, falling))
+    # Both are 1 at s = 0. In t = 1 / s they start with 1 and stay tame if coefficients vanish.
+    largest = max(_largest_root(polynomial) for polynomial in (slope, below))
+    return float(1 / np.sqrt(largest)) if largest else float("inf")
+
+
+def _fisheye_fold(coefficients: Floats) -> float:
+    """The ideal radius up to which the model holds: it does not fold, and the ray is in front."""
+    k1, k2, k3, k4 = coefficients[:4]
+    # The derivative's roots in 1 / angle^2, in which it stays tame if coefficients vanish.
+    largest = _largest_root(np.array([1.0, 3 * k1, 5 * k2, 7 * k3, 9 * k4]))
+    return float(np.tan(min(_WIDEST_RAD, 1 / np.sqrt(max(largest, 1e-9)))))
+
+
+def _largest_root(polynomial: Floats) -> float:
+    """Its largest positive root, highest power first; 0 without one."""
+    roots = np.roots(polynomial)
+    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
+    return float(real.max(initial=0.0))
 
 
 def check_coefficients(distortion: Sequence[float] | Floats, model: Projection) -> None:

@@ -1,4 +1,9 @@
-"""The lens models of `distortion.py` and `fisheye.py` in compiled code: points, rays of pixels.
+"""OpenCV's lens models, compiled: pixels of points, rays of pixels, and derivatives.
+
+A pinhole bends normalised image coordinates (X/Z, Y/Z) by a rational radial and a tangential
+polynomial (Brown 1966; OpenCV calib3d, "Detailed description"). A fisheye images a ray at the angle
+t off its axis at the distance t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8) from it (Kannala and Brandt
+2006; "Fisheye camera model").
 
 A lens is a row of 16 numbers, `Intrinsics.row`: fx skew cx fy cy, the eight distortion coefficients
 (k1 k2 p1 p2 k3 k4 k5 k6 of a pinhole; k1 k2 k3 k4 of a fisheye, and zeros), `FISHEYE`, and the
@@ -28,6 +33,7 @@ Slopes = Callable[[float, float, Floats], tuple[float, float, float, float]]
 NEWTON_STEPS = 20
 NEWTON_TOLERANCE = 1e-5
 """Newton's steps shrink quadratically: after one so short less than 1e-9 is left."""
+_EXACT, _FAILED = 1e-12, 1e-9
 FISHEYE_STEPS, FISHEYE_TOLERANCE = 60, 1e-12
 TINY = 1e-20
 """Square of a radius at which a fisheye bends nothing: it keeps zero out of divisions."""
@@ -180,21 +186,30 @@ def pinhole_slopes(x: float, y: float, lens: Floats) -> tuple[float, float, floa
 @compiled
 def bearing(pixel: Floats, lens: Floats) -> Floats:
     """Unit bearing (3,) of a pixel (2,); NaN where the lens model has no inverse."""
+    x, y = ideal_point(pixel, lens, np.inf)
+    return np.array([x, y, 1.0]) / np.sqrt(x * x + y * y + 1)
+
+
+@compiled
+def ideal_point(pixel: Floats, lens: Floats, reach: float) -> tuple[float, float]:
+    """The undistorted normalised point of a pixel (Newton); NaN where the lens has no inverse."""
     yd = (pixel[1] - lens[4]) / lens[3]
     xd = (pixel[0] - lens[2] - lens[1] * yd) / lens[0]
     if lens[FISHEYE] > 0:
-        x, y = fisheye_ideal(xd, yd, lens)
-        return np.array([x, y, 1.0]) / np.sqrt(x * x + y * y + 1)
-    x, y = xd, yd
+        return fisheye_ideal(xd, yd, lens)
+    x, y, size, det = xd, yd, np.inf, 1.0
     for _ in range(NEWTON_STEPS):
         u, v = pinhole_point(x, y, lens)
         a, b, c, d = pinhole_slopes(x, y, lens)
         det = a * d - b * c
         step_x, step_y = (d * (xd - u) - b * (yd - v)) / det, (a * (yd - v) - c * (xd - u)) / det
         x, y = x + step_x, y + step_y
-        if abs(step_x) + abs(step_y) < NEWTON_TOLERANCE:
-            return np.array([x, y, 1.0]) / np.sqrt(x * x + y * y + 1)
-    return np.full(3, np.nan)
+        size = max(abs(step_x), abs(step_y))
+        if not size > _EXACT:
+            break
+    if size < _FAILED and det > 0 and x * x + y * y < reach * reach:
+        return x, y
+    return np.nan, np.nan
 
 
 RAY = 9
@@ -293,3 +308,34 @@ def _fill_slopes(
         out[5, first + i] = -(out[3, first + i] * x[i] + out[4, first + i] * y[i])
     for i in range(n):
         out[8, first + i] = -(out[6, first + i] * x[i] + out[7, first + i] * y[i])
+
+
+@compiled
+def by_lens(x: float, y: float, lens: Floats, out: Floats) -> None:
+    """A pixel's derivatives (2, 12) by fx fy cx cy and the eight distortion coefficients."""
+    r2 = x * x + y * y
+    out[0, 0], out[1, 1] = distort_point(x, y, lens)
+    out[0, 2] = out[1, 3] = 1.0
+    if lens[FISHEYE] > 0:
+        r = np.sqrt(r2)
+        angle = np.arctan(r)
+        gain = angle * angle * (angle / r if r > 0 else 1.0)
+        for power in range(4):
+            _lens_column(out, 4 + power, x * gain, y * gain, lens)
+            gain *= angle * angle
+        return
+    below = 1 + r2 * (lens[10] + r2 * (lens[11] + r2 * lens[12]))
+    radial = (1 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[9]))) / below
+    for power in range(3):
+        gain = r2 ** (power + 1) / below
+        above = 8 if power == 2 else 4 + power
+        _lens_column(out, above, x * gain, y * gain, lens)
+        _lens_column(out, 9 + power, -radial * x * gain, -radial * y * gain, lens)
+    _lens_column(out, 6, 2 * x * y, r2 + 2 * y * y, lens)
+    _lens_column(out, 7, r2 + 2 * x * x, 2 * x * y, lens)
+
+
+@compiled
+def _lens_column(out: Floats, column: int, du: float, dv: float, lens: Floats) -> None:
+    out[0, column] = lens[0] * du + lens[1] * dv
+    out[1, column] = lens[3] * dv

@@ -6,19 +6,8 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.model.lens import (
-    FISHEYE,
-    distort_point,
-    distortion_slopes,
-    fisheye_ideal,
-    pinhole_point,
-    pinhole_slopes,
-)
+from measure.model.lens import by_lens, distort_point, distortion_slopes, ideal_point
 from measure.model.rig import RigRows
-
-_NEWTON_STEPS = 20
-_NEWTON_TOLERANCE = 1e-12
-_NEWTON_FAILED = 1e-9
 
 
 @compiled
@@ -55,47 +44,37 @@ def project_one(rig: RigRows, row: int, point: Floats, pixel: Floats, by_point: 
 
 
 @compiled
+def by_intrinsics(points: Floats, lens: Floats) -> Floats:
+    """Derivatives (n, 2, 12) of the pixels of camera-frame points (n, 3), see `by_lens`."""
+    out = np.zeros((len(points), 2, 12))
+    for i in range(len(points)):
+        by_lens(points[i, 0] / points[i, 2], points[i, 1] / points[i, 2], lens, out[i])
+    return out
+
+
+@compiled
 def project_rows(rig: RigRows, points: Floats) -> tuple[Floats, Floats]:
-    """`project_one` for every row: pixels (n, 2) and their derivatives (n, 2, 3)."""
-    n = len(rig.lenses)
-    pixels, by_point = np.empty((n, 2)), np.empty((n, 2, 3))
-    for i in range(n):
-        project_one(rig, i, points[i], pixels[i], by_point[i])
+    """`project_one` of point i into camera i, or all into a single one: (n, 2), (n, 2, 3)."""
+    pixels, by_point = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
+    for i in range(len(points)):
+        project_one(rig, i % len(rig.lenses), points[i], pixels[i], by_point[i])
     return pixels, by_point
 
 
 @compiled
-def ideal_point(pixel: Floats, lens: Floats, reach: float) -> tuple[float, float]:
-    """The undistorted normalised point of a pixel (Newton); NaN where the lens has no inverse."""
-    yd = (pixel[1] - lens[4]) / lens[3]
-    xd = (pixel[0] - lens[2] - lens[1] * yd) / lens[0]
-    if lens[FISHEYE] > 0:
-        return fisheye_ideal(xd, yd, lens)
-    x, y, size, det = xd, yd, np.inf, 1.0
-    for _ in range(_NEWTON_STEPS):
-        u, v = pinhole_point(x, y, lens)
-        a, b, c, d = pinhole_slopes(x, y, lens)
-        det = a * d - b * c
-        step_x, step_y = (d * (xd - u) - b * (yd - v)) / det, (a * (yd - v) - c * (xd - u)) / det
-        x, y = x + step_x, y + step_y
-        size = max(abs(step_x), abs(step_y))
-        if not size > _NEWTON_TOLERANCE:
-            break
-    if size < _NEWTON_FAILED and det > 0 and x * x + y * y < reach * reach:
-        return x, y
-    return np.nan, np.nan
-
-
-@compiled
 def ray_rows(pixels: Floats, rig: RigRows) -> Floats:
-    """Unit directions (n, 3) in the world of pixel i (n, 2) in camera i; NaN without an inverse."""
+    """Unit directions (n, 3) in the world of pixel i (n, 2) in camera i, or all in a single one.
+
+    NaN where the lens has no inverse.
+    """
     out = np.empty((len(pixels), 3))
     for i in range(len(pixels)):
-        x, y = ideal_point(pixels[i], rig.lenses[i], rig.reach[i])
+        k = i % len(rig.lenses)
+        x, y = ideal_point(pixels[i], rig.lenses[k], rig.reach[k])
         length = np.sqrt(x * x + y * y + 1)
-        for k in range(3):
-            turned = rig.rotation[i, k, 0] * x + rig.rotation[i, k, 1] * y + rig.rotation[i, k, 2]
-            out[i, k] = turned / length
+        for a in range(3):
+            turned = rig.rotation[k, a, 0] * x + rig.rotation[k, a, 1] * y + rig.rotation[k, a, 2]
+            out[i, a] = turned / length
     return out
 
 

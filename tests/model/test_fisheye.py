@@ -9,11 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numeric_jacobian
 
-from measure.estimation.pixel_sensitivity import by_lens
 from measure.geometry import RigidTransform, fit_cone, tangent_cone
 from measure.model import Camera, Intrinsics, Rig
-from measure.model.lens import RAY, bearing, distort_point, distortion_slopes, fill_rays, to_pixel
-from measure.model.rig_kernels import ideal_point
+from measure.model.lens import (
+    RAY,
+    bearing,
+    by_lens,
+    distort_point,
+    distortion_slopes,
+    fill_rays,
+    ideal_point,
+    to_pixel,
+)
 
 MATRIX = np.array([[350.0, 0, 641], [0, 352, 357], [0, 0, 1]])
 BENT = st.tuples(*[st.floats(-size, size) for size in (0.08, 0.02, 0.008, 0.002)])

@@ -1,4 +1,4 @@
-"""The compiled lens model: its rays, and its agreement with the model for arrays."""
+"""The compiled lens model: rays of pixels, many at once and one by one."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import lenses, numeric_jacobian
 
-from measure.model.distortion import distort, distort_with_jacobians
-from measure.model.lens import RAY, bearing, distort_point, distortion_slopes, fill_rays
-from measure.model.rig_kernels import ideal_point
+from measure.model.lens import RAY, bearing, fill_rays, ideal_point
 
 IN_VIEW = st.lists(
     st.tuples(st.floats(-0.35, 0.35), st.floats(-0.2, 0.2), st.just(1.0)), min_size=1, max_size=20
@@ -43,19 +41,8 @@ def test_pixels_without_a_ray_leave_the_others_theirs(webcam):
     assert np.all(rays[:, [0, 5]] == 7.0)
 
 
-@given(lenses(), st.tuples(st.floats(-0.5, 0.5), st.floats(-0.3, 0.3)))
-def test_compiled_and_array_distortion_agree(lens, ideal):
-    """Point by point and for many at once: the same polynomial, and the same derivatives."""
-    points, (x, y) = np.array([ideal]), ideal
-    distorted, by_point, _ = distort_with_jacobians(points, lens.distortion)
-    np.testing.assert_array_equal(distort(points, lens.distortion)[0], distorted)
-    np.testing.assert_allclose(distort_point(x, y, lens.row), distorted[0], rtol=1e-12, atol=1e-15)
-    slopes = np.reshape(distortion_slopes(x, y, lens.row), (2, 2))
-    np.testing.assert_allclose(slopes, by_point[0], rtol=1e-10, atol=1e-13)
-
-
 @given(lenses(), IN_VIEW)
-def test_compiled_and_array_inverses_agree(lens, points):
+def test_inverses_point_by_point_undo_it(lens, points):
     assume(np.max(np.linalg.norm(points[:, :2], axis=1)) < 0.8 * lens.reach)
     pixels = lens.project(points)
     bearings = points / np.linalg.norm(points, axis=1, keepdims=True)
