@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from measure.estimation import pose_fit as fit_kernels
 from measure.geometry import RigidTransform
-from measure.measuring.association import associate, candidates, hypotheses, scoring, warm_up
+from measure.measuring.association import associate, candidates, hypotheses, warm_up
 from measure.model import Ball, BallColor, Body, Camera, Detection, rig_kernels
 from tests.compiled import nothing_compiles
 from tests.scenes import FOUR, RAVEN, TARGET, a_pose, ring, see
@@ -205,7 +205,8 @@ def test_triangles_are_put_on_others_by_least_squares():
     source = rng.normal(0, 50, (3, 3))
     turned = source @ Rotation.random(30, random_state=rng).as_matrix().swapaxes(1, 2)
     target = turned + rng.normal(0, 15, (30, 3, 3)) + TARGET
-    rotation, translation = hypotheses.align_triangles(target, source)
+    found = hypotheses.align_triangles(target, source)
+    rotation, translation = found.rotation, found.translation
     middle = target.mean(axis=1)
     best = [
         Rotation.align_vectors(corners - corners.mean(axis=0), source - source.mean(axis=0))[0]
@@ -213,8 +214,6 @@ def test_triangles_are_put_on_others_by_least_squares():
     ]
     assert rotation == pytest.approx(np.array([r.as_matrix() for r in best]), abs=1e-9)
     assert rotation @ source.mean(axis=0) + translation == pytest.approx(middle, abs=1e-9)
-    on_a_line = np.outer([0.0, 1, 2], [1.0, 2, 3])[None]
-    assert np.isnan(hypotheses.align_triangles(on_a_line, source)[0]).all()
 
 
 def test_warming_up_compiles_all_that_a_search_runs():
@@ -222,11 +221,9 @@ def test_warming_up_compiles_all_that_a_search_runs():
     warm_up(RAVEN, list(CAMERAS.values()))
     loops = (
         candidates.intersections,
-        scoring.agreement,
+        hypotheses.agreement,
         fit_kernels.fit_pose_rows,
-        scoring.lie_on_balls,
         rig_kernels.ray_rows,
-        hypotheses.align_triangles,
     )
     with nothing_compiles(*loops):
         truth = a_pose(np.random.default_rng(2))

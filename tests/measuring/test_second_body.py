@@ -11,8 +11,7 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.measuring import Status
 from measure.measuring.association import associate
-from measure.measuring.association.scoring import lie_on_balls, possible_distances
-from measure.model import Rig
+from measure.measuring.association.hypotheses import lie_on_body
 from tests.hidden_scenes import balls_of, lone_balls, seen, two_bodies
 from tests.scenes import RAVEN, TARGET, a_pose, ring
 from tests.tracking_rig import run
@@ -120,20 +119,6 @@ def test_a_body_found_where_it_cannot_have_moved_is_flagged(gap_s, flagged):
     assert any("further than it can have moved" in f for f in measured[-1].pose.flags) == flagged
 
 
-@pytest.mark.parametrize("apart", [20.0, 60.0, 150.0])
-def test_possible_separations_equal_brute_force(apart):
-    """Against every place of one with every place of the other: no pair is left out too early."""
-    rng = np.random.default_rng(3)
-    middles, toward = rng.uniform(-100, 100, (2, 30, 1, 3))
-    a = middles + np.linspace(-0.5, 0.5, 7)[:, None] * toward
-    b = a[::-1, :5] + rng.uniform(-40, 40, (30, 1, 3))
-    distances = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=4)
-    near, far = distances.min(axis=(2, 3)), distances.max(axis=(2, 3))
-    expected = (near < apart + 1) & (apart < far + 1)
-    assert 0 < np.count_nonzero(expected) < expected.size
-    assert np.array_equal(possible_distances(a, b, apart, 1.0), expected)
-
-
 @pytest.mark.parametrize(("sd_px", "flagged"), [(0.3, True), (2.0, False)])
 def test_two_balls_in_one_camera_are_evidence_if_well_seen(sd_px, flagged):
     """Half-hidden outlines do not tell how far away they are; two of them mean nothing."""
@@ -158,17 +143,11 @@ def test_two_balls_in_one_camera_are_evidence_if_well_seen(sd_px, flagged):
     assert bool(found.flags) == flagged
 
 
-def test_candidates_lie_lie_on_balls_within_their_outlines_only():
-    (camera,) = ring(1).values()
-    rig, centers = Rig.of([camera]), TARGET + np.array([[0.0, 0.0, 0.0], [120.0, 0.0, 0.0]])
-    radii_off, sideways = np.array([0.0, 0.7, 0.9]), camera.world_from_camera.rotation[:, 0]
-    places = centers[1] + 20.0 * radii_off[:, None] * sideways
-    own = lie_on_balls(
-        centers,
-        np.full(2, 20.0),
-        rig.rows,
-        np.zeros(4, np.int64),
-        camera.project(np.concatenate([centers[:1], places])),
-        0.8,
-    )
+def test_candidates_lie_on_the_body_within_its_outlines_only():
+    (camera,), pose = ring(1).values(), RigidTransform(np.eye(3), TARGET)
+    centers, sideways = pose.apply(RAVEN.centers), camera.world_from_camera.rotation[:, 0]
+    radii_off = np.array([0.0, 0.7, 0.9])
+    places = centers[1] + RAVEN.radii[1] * radii_off[:, None] * sideways
+    pixels = camera.project(np.concatenate([centers[:1], places]))
+    own = lie_on_body(pose, RAVEN, [camera], np.zeros(4, np.int64), pixels)
     assert own.tolist() == [True, True, True, False]

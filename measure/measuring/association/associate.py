@@ -21,6 +21,7 @@ from measure.geometry import RigidTransform
 from measure.host.settings import Settings, setting
 from measure.measuring.association.candidates import BallPoints, Candidates, by_ball, intersect_rays
 from measure.measuring.association.hypotheses import (
+    CandidateRows,
     PoseScores,
     lie_on_body,
     poses_from_pairs,
@@ -28,7 +29,6 @@ from measure.measuring.association.hypotheses import (
     score_poses,
     stack_candidates,
 )
-from measure.measuring.association.scoring import CandidateRows, possible_distances
 from measure.measuring.association.second_body import second_body_flags
 from measure.model import Body, Camera, Detection, Rig
 
@@ -319,7 +319,6 @@ def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     stacked = stack_candidates(candidates, settings.sigmas, settings.extra_px)
     score_poses(nowhere, body, cameras, stacked, settings.range_ratio)
     second_body_flags(RigidTransform.identity(), body, cameras, candidates, settings.sigmas)
-    possible_distances(np.zeros((0, 1, 3)), np.zeros((0, 1, 3)), 1.0, 1.0)
     one = np.zeros(1, np.int64)
     seen = PoseObservations(
         Rig.of(cameras[:1]), np.zeros((1, 3)), one, np.zeros((1, 2)), np.eye(2)[None], np.zeros(1)

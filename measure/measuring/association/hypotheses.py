@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +14,78 @@ from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
 from measure.geometry import RigidTransform
 from measure.measuring.association.candidates import BallPoints, Candidates
-from measure.measuring.association.scoring import CandidateRows, agreement, lie_on_balls
 from measure.model import Body, Camera, Rig
+from measure.model.rig import RigRows
+from measure.model.rig_kernels import project_one
+
+
+class CandidateRows(NamedTuple):
+    """The candidates of all balls as arrays of n rows, one ball's after the other's."""
+
+    starts: Ints  # (balls + 1,) first row of each ball's
+    cameras: Ints  # (n,) index of the camera
+    pixels: Floats  # (n, 2)
+    limit_px: Floats  # (n,) the furthest that a candidate may be from where a pose puts its ball
+    range_mm: Floats  # (n,) distance that the outline's radius implies
+
+
+@compiled
+def agreement(
+    rotations: Floats,
+    translations: Floats,
+    centers_body: Floats,
+    rig: RigRows,
+    corners: Floats,
+    candidates: CandidateRows,
+    range_ratio: float,
+) -> tuple[Ints, Ints, Floats]:
+    """Compare the balls of m poses, projected, with the candidates by place and size.
+
+    Args:
+        rotations: (m, 3, 3) of world_from_body.
+        translations: (m, 3).
+        centers_body: (balls, 3).
+        corners: (cameras, 2) last pixel of each picture.
+        candidates: n of them.
+        range_ratio: largest error, as a factor, of the distance that an outline's size implies.
+
+    Returns:
+        Row of the agreeing candidate among those of its ball, or -1 (m, balls, cameras); number of
+        balls in view, over all cameras (m,); score (m,), see `hypotheses.PoseScores`.
+    """
+    m, balls, views = len(rotations), len(centers_body), len(rig.lenses)
+    starts, cameras, pixels, limit_px, range_mm = candidates
+    chosen = np.full((m, balls, views), -1)
+    expected, score = np.zeros(m, np.int64), np.zeros(m)
+    center, pixel, by_point = np.empty(3), np.empty(2), np.empty((2, 3))
+    for row in range(m):
+        for camera in range(views):
+            for ball in range(balls):
+                away2 = 0.0
+                for a in range(3):
+                    center[a] = translations[row, a]
+                    for b in range(3):
+                        center[a] += rotations[row, a, b] * centers_body[ball, b]
+                    away2 += (center[a] - rig.centers[camera, a]) ** 2
+                project_one(rig, camera, center, pixel, by_point)
+                u, v = pixel[0], pixel[1]
+                if u >= 0 and v >= 0 and u <= corners[camera, 0] and v <= corners[camera, 1]:
+                    expected[row] += 1
+                away, least = np.sqrt(away2), 1.0
+                for k in range(starts[ball], starts[ball + 1]):
+                    expected_mm = range_mm[k]
+                    if cameras[k] != camera:
+                        continue
+                    if away > expected_mm * range_ratio or expected_mm > away * range_ratio:
+                        continue
+                    share = np.hypot(u - pixels[k, 0], v - pixels[k, 1]) / limit_px[k]
+                    if share < least:
+                        least = share
+                        chosen[row, ball, camera] = k - starts[ball]
+                if least < 1:
+                    score[row] += 1 - least**2
+    return chosen, expected, score
+
 
 _MAX_TRIPLES = 400
 _MAX_PAIRS = 20
@@ -32,7 +103,9 @@ def poses_from_triples(body: Body, points: Sequence[BallPoints], sigmas: float) 
     found = []
     for triple in _triples(body):
         rows = _consistent_triples(body, points, triple, sigmas)
-        found.append(_aligned(_chosen_points(points, triple, rows), body.centers[list(triple)]))
+        found.append(
+            align_triangles(_chosen_points(points, triple, rows), body.centers[list(triple)])
+        )
     return _joined(found)
 
 
@@ -113,8 +186,12 @@ def lie_on_body(
         seen_by: (n,) index of the candidates' cameras.
         pixels: (n, 2).
     """
-    centers = world_from_body.apply(body.centers)
-    return lie_on_balls(centers, body.radii, Rig.of(cameras).rows, seen_by, pixels, _INSIDE_RADII)
+    views, out = Rig.of(cameras).take(seen_by), np.zeros(len(pixels), np.bool_)
+    for center, radius in zip(world_from_body.apply(body.centers), body.radii, strict=True):
+        off = np.linalg.norm(pixels - views.project(center)[0], axis=1)
+        away = np.linalg.norm(views.centers - center, axis=1)
+        out |= off < _INSIDE_RADII * views.focal_px * radius / away
+    return out
 
 
 def _chosen_points(points: Sequence[BallPoints], balls: Sequence[int], rows: Ints) -> Floats:
@@ -125,9 +202,16 @@ def _chosen_points(points: Sequence[BallPoints], balls: Sequence[int], rows: Int
     return out
 
 
-def _aligned(target: Floats, source: Floats) -> RigidTransform:
-    """Least-squares poses (m) that put three source points (3, 3) on target points (m, 3, 3)."""
-    return RigidTransform(*align_triangles(target, source))
+def align_triangles(target: Floats, source: Floats) -> RigidTransform:
+    """Least-squares poses (m) that put three source points (3, 3) on target points (m, 3, 3).
+
+    In closed form (Umeyama 1991), as `geometry.align_points` for a single pose.
+    """
+    middle, origin = target.mean(axis=1), source.mean(axis=0)
+    u, _, vt = np.linalg.svd(np.swapaxes(target - middle[:, None], 1, 2) @ (source - origin))
+    u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
+    rotation = u @ vt
+    return RigidTransform(rotation, middle - rotation @ origin)
 
 
 def _misfits(body: Body, points: Sequence[BallPoints], i: int, j: int, sigmas: float) -> Floats:
@@ -175,7 +259,7 @@ def _on_a_line(points: Floats) -> bool:
 
 def _rotated_about_line(target: Floats, source: Floats) -> RigidTransform:
     """Poses that bring the line of two source points (2, 3) onto (m, 2, 3), at every angle."""
-    start = _aligned(
+    start = align_triangles(
         np.concatenate([target, _perpendicular_point(target)], axis=1),
         np.concatenate([source, _perpendicular_point(source[None])[0]], axis=0),
     )
@@ -208,66 +292,3 @@ def _joined(poses: Sequence[RigidTransform]) -> RigidTransform:
         np.concatenate([np.zeros((0, 3, 3)), *(p.rotation for p in poses)]),
         np.concatenate([np.zeros((0, 3)), *(p.translation for p in poses)]),
     )
-
-
-@compiled
-def align_triangles(target: Floats, source: Floats) -> tuple[Floats, Floats]:
-    """Least-squares poses of a triangle on m others.
-
-    The best rotation of three points maps plane onto plane, and in the plane turns by the angle of
-    least squared distances of the corners: the closed form of Umeyama (1991) for three points.
-
-    Args:
-        target: (m, 3, 3) corners, one a row, mm.
-        source: (3, 3) the corners that are put on them, not on a line.
-
-    Returns:
-        Rotations (m, 3, 3) and translations (m, 3) of target_from_source; not a number where
-        target corners are on a line.
-    """
-    rotation, translation = np.empty((len(target), 3, 3)), np.empty((len(target), 3))
-    flat, axes, origin = _in_plane(source)
-    for k in range(len(target)):
-        seen, onto, center = _in_plane(target[k])
-        along, across = 0.0, 0.0
-        for i in range(3):
-            along += seen[i, 0] * flat[i, 0] + seen[i, 1] * flat[i, 1]
-            across += seen[i, 1] * flat[i, 0] - seen[i, 0] * flat[i, 1]
-        length = np.hypot(along, across)
-        c, s = along / length, across / length
-        for a in range(3):
-            first, second = c * onto[0, a] + s * onto[1, a], c * onto[1, a] - s * onto[0, a]
-            translation[k, a] = center[a]
-            for b in range(3):
-                turn = first * axes[0, b] + second * axes[1, b] + onto[2, a] * axes[2, b]
-                rotation[k, a, b] = turn
-                translation[k, a] -= turn * origin[b]
-    return rotation, translation
-
-
-@compiled
-def _in_plane(corners: Floats) -> tuple[Floats, Floats, Floats]:
-    """Corners (3, 2) about their middle (3,) along the first two of axes (3, 3), rows."""
-    axes, flat, middle = np.empty((3, 3)), np.zeros((3, 2)), np.empty(3)
-    for a in range(3):
-        axes[0, a] = corners[1, a] - corners[0, a]
-        axes[1, a] = corners[2, a] - corners[0, a]
-        middle[a] = (corners[0, a] + corners[1, a] + corners[2, a]) / 3
-    _cross(axes[0], axes[1], axes[2])
-    _cross(axes[2], axes[0], axes[1])
-    for i in range(3):
-        x, y, z = axes[i]
-        axes[i] /= np.sqrt(x * x + y * y + z * z)
-    for i in range(3):
-        for a in range(3):
-            off = corners[i, a] - middle[a]
-            flat[i, 0] += off * axes[0, a]
-            flat[i, 1] += off * axes[1, a]
-    return flat, axes, middle
-
-
-@compiled
-def _cross(a: Floats, b: Floats, out: Floats) -> None:
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]

@@ -16,7 +16,6 @@ from measure.arrays import Bools, Floats, Ints
 from measure.geometry import RigidTransform
 from measure.measuring.association.candidates import BallPoints, Candidates, intersect_rays
 from measure.measuring.association.hypotheses import lie_on_body
-from measure.measuring.association.scoring import possible_distances
 from measure.model import Body, Camera
 
 _RANGE_RATIO = 1.15
@@ -90,6 +89,13 @@ def _evidence(
         yield three, _by_sizes([lone[k] for k in three], one, two, other)
     for i, j in combinations(balls, 2):
         yield (i, j), _side_by_side(lone[i], lone[j], fits[i, j])
+
+
+def possible_distances(a: Floats, b: Floats, distance_mm: float, slack_mm: float) -> Bools:
+    """Whether (n, m) points, each at one of s places (n, s, 3), (m, s, 3), may be so far apart."""
+    apart = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)
+    near, far = apart.min(axis=(2, 3)), apart.max(axis=(2, 3))
+    return np.asarray((near < distance_mm + slack_mm) & (distance_mm < far + slack_mm))
 
 
 def _seen_once(candidates: Candidates, located: BallPoints, sigmas: float) -> Candidates:
