@@ -34,8 +34,8 @@ class Detector(Plugin):
     What it finds in an image depends on that image alone, unless the class says `stateful`.
     """
 
-    # whether results depend on the images seen before. Images then come in order of time and each
-    # once. A detector that keeps no state may be shown earlier images again, the latest first.
+    # whether results depend on the images seen before. Images then come in order of time. A
+    # detector that keeps no state may be shown images again.
     stateful: ClassVar[bool] = False
     # whether its detections hold outlines (`Detection.outline_px`); None if that depends on the
     # images, and is found out from the first ones.

@@ -11,7 +11,6 @@ from measure.arrays import Floats
 from measure.errors import MeasureError
 from measure.host import Detector, PoseSolver, Triangulator
 from measure.measuring import plugin_calls, time_alignment
-from measure.measuring.backtracking import ProcessedFrameSet, backtracked
 from measure.measuring.body_scale import ScaleMonitor
 from measure.measuring.duplicate_images import DuplicateImages
 from measure.measuring.measurement import Draft, Measurement, Status
@@ -39,8 +38,7 @@ class Stages:
     solver: PoseSolver  # locates the body
     per_image_timestamps: bool  # whether each image counts at its own time
     # whether poses wait for later ones: each is solved again with the motion of a spline through
-    # the poses around it, and a body just found is tracked back through the frame sets in which it
-    # was not found.
+    # the poses around it.
     smoothing: bool
     # whether, after a search of whole frames, the balls are measured once more where they were
     # found, and images in which the body was lost are searched.
@@ -55,9 +53,6 @@ class Pipeline:
         self._cameras = {camera.name: camera for camera in cameras}
         self._rolling = any(camera.readout_s for camera in cameras)
         self._duplicates = DuplicateImages()
-        self._can_backtrack = stages.smoothing and all(
-            not detector.stateful for detector in stages.detectors.values()
-        )
         self.stages = stages
         self.others: tuple[Pipeline, ...] = ()
 
@@ -89,11 +84,7 @@ class Pipeline:
         scale = ScaleMonitor(self.body)
         with CameraPool(len(self._cameras)) as pool:
             readable = _until_error(frame_sets, errors)
-            processed = (self._process(frame_set, pool) for frame_set in readable)
-            if self._can_backtrack:
-                drafts = backtracked(processed, lambda waiting: self._backtrack(waiting, pool))
-            else:
-                drafts = (one.draft for one in processed)
+            drafts: Iterable[Draft] = (self._draft(frame_set, pool) for frame_set in readable)
             if self.stages.smoothing:
                 drafts = map(self._smooth, with_surrounding_poses(drafts))
             for draft in drafts:
@@ -101,34 +92,8 @@ class Pipeline:
         if errors:
             raise errors[0]
 
-    def _process(self, frame_set: FrameSet, pool: CameraPool) -> ProcessedFrameSet:
+    def _draft(self, frame_set: FrameSet, pool: CameraPool) -> Draft:
         frame_set, flag = self._duplicates.without_duplicates(frame_set)
-        draft = self._first_draft(frame_set, pool)
-        return ProcessedFrameSet(frame_set, draft.flagged(flag) if flag else draft, flag)
-
-    def _backtrack(self, waiting: Sequence[ProcessedFrameSet], pool: CameraPool) -> list[Draft]:
-        """Track the body backwards in time through the frame sets before it was found."""
-        drafts = [one.draft for one in waiting]
-        tracker = self.stages.tracker.backwards()
-        if tracker is None:
-            return drafts
-        backward = Pipeline(self.body, self.cameras, replace(self.stages, tracker=tracker))
-        for i in reversed(range(len(drafts))):
-            again = backward._track(waiting[i].frame_set, pool)
-            if again is None:
-                break
-            drafts[i] = waiting[i].or_better(again)
-        return drafts
-
-    def _track(self, frame_set: FrameSet, pool: CameraPool) -> Draft | None:
-        """The body measured in predicted windows; None without a prediction or without a pose."""
-        expected = self.stages.tracker.expect(frame_set)
-        if not expected or not all(expected.values()):
-            return None
-        draft = self._measure_once(frame_set, expected, pool)
-        return None if draft.measurement.pose is None else draft
-
-    def _first_draft(self, frame_set: FrameSet, pool: CameraPool) -> Draft:
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
             return Draft(_skipped(frame_set), None, ())
@@ -138,7 +103,7 @@ class Pipeline:
         review = self.stages.tracker.doubt(frame_set)
         if review is not None:
             review(self._detect(frame_set, {}, pool))
-        return draft
+        return draft.flagged(flag) if flag else draft
 
     def _searched(self, frame_set: FrameSet, draft: Draft, pool: CameraPool) -> Draft:
         """Search the images in which the tracker just lost the body, so that no pose is missed."""

@@ -7,7 +7,7 @@ from measurements import BODY, CAMERAS, measurement
 
 from measure.measuring import Pipeline, Stages
 from measure.measuring.tracking import Conclusion
-from measure.measuring.tracking.memoryless import Memoryless
+from measure.measuring.tracking.tracker import Memoryless
 from measure.model import Detection, Expectation, FrameSet, Image, Pose
 
 

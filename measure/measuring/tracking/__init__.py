@@ -2,10 +2,9 @@
 
 from typing import Any
 
-from measure.measuring.tracking.memoryless import Memoryless
 from measure.measuring.tracking.paper import FrameUpdate
 from measure.measuring.tracking.predictive import PredictiveTracker
-from measure.measuring.tracking.tracker import Conclusion, Tracker
+from measure.measuring.tracking.tracker import Conclusion, Memoryless, Tracker
 
 TRACKERS: dict[str, type[Any]] = {
     "frame-update": FrameUpdate,

@@ -9,7 +9,7 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.measuring import Status
-from measure.measuring.tracking.predictive.consistency import consistency_flags, single_view_balls
+from measure.measuring.tracking.predictive.pose_checks import consistency_flags, single_view_balls
 from measure.model import Body
 from measure.model.observations import Reason, State
 from tests.measurements import BODY, measurement

@@ -20,8 +20,11 @@ from measure.measuring.tracking.predictive.gating import (
     agree_with_prediction,
     gate_observations,
 )
-from measure.measuring.tracking.predictive.motion_filter import MotionState, constant_velocity
-from measure.measuring.tracking.predictive.motion_kernels import Kinematics
+from measure.measuring.tracking.predictive.motion_filter import (
+    Kinematics,
+    MotionState,
+    constant_velocity,
+)
 from measure.measuring.tracking.predictive.search_windows import SearchWindows, predict_windows
 from measure.model import Pose
 from tests.scenes import RAVEN, TARGET, ring

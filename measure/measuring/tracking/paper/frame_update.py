@@ -124,9 +124,6 @@ class FrameUpdate:
     def doubt(self, frame_set: FrameSet) -> None:
         """None: the paper knows one body only."""
 
-    def backwards(self) -> None:
-        """The paper's algorithm goes forward only."""
-
     def judge(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
     ) -> tuple[BallView, ...]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
@@ -16,22 +14,13 @@ from measure.geometry.linear_kernels import (
     solve_factored,
     squared_distance,
 )
-from measure.measuring.tracking.predictive.ball_projection import PredictedBalls
-from measure.measuring.tracking.predictive.motion_kernels import propagated_covariance
+from measure.measuring.tracking.predictive.motion_filter import propagated_covariance
+from measure.measuring.tracking.predictive.search_windows import GatedObservations, PredictedBalls
 
 _ITERATIONS = 4
 AGREES, JUMPED, MISCOLORED, CONTRADICTS = 0, 1, 2, 3
 """Results of the gates for a detection: accepted; too far from the prediction; of the wrong colour;
 not explained by the change of the prediction that explains the majority."""
-
-
-class GatedObservations(NamedTuple):
-    """n detections to be gated."""
-
-    pixels: Floats  # (n, 2) centres
-    noise: Floats  # (n, 2, 2) covariances
-    times_s: Floats  # (n,)
-    colored: Bools  # (n,) whether the colour is right, or not checked
 
 
 @compiled

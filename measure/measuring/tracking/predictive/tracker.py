@@ -23,10 +23,14 @@ from measure.measuring import association
 from measure.measuring.association import Association, AssociationSettings, associate, second_body
 from measure.measuring.tracking.predictive import gating, pose_checks
 from measure.measuring.tracking.predictive.camera_bias import CameraBiasMonitor
-from measure.measuring.tracking.predictive.consistency import consistency_flags, single_view_balls
 from measure.measuring.tracking.predictive.identity import IdentityDoubt
 from measure.measuring.tracking.predictive.motion_filter import MotionState, initial_state, per_axis
-from measure.measuring.tracking.predictive.search_windows import SearchWindows, predict_windows
+from measure.measuring.tracking.predictive.pose_checks import consistency_flags, single_view_balls
+from measure.measuring.tracking.predictive.search_windows import (
+    GatedObservations,
+    SearchWindows,
+    predict_windows,
+)
 from measure.measuring.tracking.tracker import Conclusion, Review
 from measure.model.observations import Reason, State
 
@@ -166,14 +170,6 @@ class PredictiveTracker:
             self._identity.reviewed(flags, time_s)
 
         return review
-
-    def backwards(self) -> PredictiveTracker | None:
-        """A tracker in the same state of motion; None if the body is lost."""
-        if self._state is None:
-            return None
-        back = PredictiveTracker(self.config, self._body, self._cameras)
-        back._state, back._confirmed = self._state, set(self._confirmed)
-        return back
 
     def judge(
         self, frame_set: model.FrameSet, detections: Mapping[str, Sequence[model.Detection]]
@@ -348,7 +344,7 @@ def _warm_up(body: model.Body, cameras: Sequence[model.Camera]) -> None:
     windows.expectations(1.0, 1.0, 0.1)
     balls, n = windows.balls, len(windows.keys)
     noise, now = np.tile(np.eye(2), (n, 1, 1)), np.zeros(n)
-    seen = gating.GatedObservations(balls.centers_px, noise, now, np.ones(n, np.bool_))
+    seen = GatedObservations(balls.centers_px, noise, now, np.ones(n, np.bool_))
     gating.gate_observations(seen, np.arange(n), balls, state.covariance, 0.0, one, 0.5, 1.0)
     state.updated(model.Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ()), one, one)
     places = np.tile(np.eye(3), (len(body.balls), 1, 1))
