@@ -34,8 +34,15 @@ from measure.checking import (
     with_velocities,
     worst_first,
 )
-from measure.checking.body import BodyCheck, LocatedBalls, check_body, locate_balls
-from measure.checking.body_explanations import body_finding, size_findings, twin_findings
+from measure.checking.body import (
+    BodyCheck,
+    LocatedBalls,
+    body_finding,
+    check_body,
+    locate_balls,
+    size_findings,
+    twin_findings,
+)
 from measure.checking.camera_errors import CameraError
 from measure.checking.clocks import CameraClock
 from measure.checking.motion import MotionCheck, check_motion, motion_findings, scale_findings

@@ -5,20 +5,218 @@ No pose is needed, so the check works with a body file too wrong to track with.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.checking.body_explanations import Compared, blind_to, layout_findings, radius_findings
-from measure.estimation.body_layout import looks_mirrored
+from measure.checking.finding import Finding, Level
+from measure.errors import DegenerateGeometryError
+from measure.estimation.body_layout import looks_mirrored, thickness
 from measure.geometry.covariance import MAD_TO_SD
+from measure.geometry.transform import align_points
 from measure.measuring.association.candidates import by_ball, intersect_rays
+from measure.measuring.ball_radii import OutlineGrowth
 from measure.model import Body, Camera, Detection
 
 _SIGMAS = 4.0
+_SHARED_SIGMAS = 2.5
+"""Gate of an error that all radii share: smaller, as their standard deviations bound the bias of
+edges and are no scatter."""
+_MAX_PLANAR_MM = 1.0
+_SAME_DISTANCE_MM = 1.0
+_MAX_BALLS_PERMUTED = 6
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One length of the body: as measured, and in the file."""
+
+    what: tuple[str, ...]  # the ball whose radius it is, or the two whose distance
+    measured_mm: float  # over all frames
+    sd_mm: float
+    file_mm: float  # what the body file says
+    frames: int
+    tolerance_mm: float = 0.5  # a difference that does not matter, beyond the uncertainty
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the difference is explained by the uncertainty, or too small to matter."""
+        return self.may_be(self.file_mm)
+
+    def may_be(self, length_mm: float) -> bool:
+        """Whether the length may be this one."""
+        return abs(self.measured_mm - length_mm) <= _SIGMAS * self.sd_mm + self.tolerance_mm
+
+
+def layout_findings(distances: Sequence[Compared], body: Body) -> list[str]:
+    """One line for the simplest explanation of distances that disagree."""
+    wrong = [d for d in distances if not d.agrees]
+    if not wrong:
+        return []
+    complete = len(distances) == len(body.balls) * (len(body.balls) - 1) // 2
+    if complete and (swap := _swap(distances, body)) is not None:
+        return [swap]
+    if len(distances) > 1 and (scale := _scale(distances, body)) is not None:
+        return [scale]
+    if len(wrong) > 1 and (shared := set.intersection(*(set(d.what) for d in wrong))):
+        name = shared.pop()
+        apart = ", ".join(_line(d) for d in wrong)
+        return [f"ball {name} is not where the body file says: {apart}"]
+    return [_line(d) for d in wrong]
+
+
+def _line(d: Compared) -> str:
+    return (
+        f"{d.measured_mm:.2f} +- {d.sd_mm:.2f} mm between {d.what[0]} and {d.what[1]}, "
+        f"the body file says {d.file_mm:.2f} mm"
+    )
+
+
+def _swap(distances: Sequence[Compared], body: Body) -> str | None:
+    """The exchange of colours that explains all distances, if there is one."""
+    length = {frozenset(d.what): d.file_mm for d in distances}
+    names = body.names
+    if len(names) > _MAX_BALLS_PERMUTED:
+        return None
+    ways = sorted(
+        permutations(names), key=lambda p: sum(a != b for a, b in zip(names, p, strict=True))
+    )
+    for way in ways[1:]:
+        new = dict(zip(names, way, strict=True))
+        if all(d.may_be(length[frozenset((new[d.what[0]], new[d.what[1]]))]) for d in distances):
+            moved = [name for name in names if new[name] != name]
+            return (
+                f"the colours of {', '.join(moved[:-1])} and {moved[-1]} are exchanged "
+                "in the body file: the distances fit when they change places"
+            )
+    return None
+
+
+def _scale(distances: Sequence[Compared], body: Body) -> str | None:
+    """One factor that explains all distances, if there is one."""
+    weights = np.array([(d.file_mm / max(d.sd_mm, 0.05)) ** 2 for d in distances])
+    ratios = np.array([d.measured_mm / d.file_mm for d in distances])
+    factor = float(np.average(ratios, weights=weights))
+    if not all(d.may_be(factor * d.file_mm) for d in distances):
+        return None
+    first = distances[0]
+    arm = float(np.linalg.norm(body.centers[0]))
+    return (
+        f"the balls are {factor:.3f} times as far apart as the body file says "
+        f"({first.what[0]} to {first.what[1]}: {first.measured_mm:.2f} +- {first.sd_mm:.2f} mm "
+        f"instead of {first.file_mm:.2f} mm; {body.names[0]} then lies {factor * arm:.2f} mm "
+        f"from the origin, not {arm:.2f} mm)"
+    )
+
+
+def radius_findings(radii: Sequence[Compared]) -> list[str]:
+    """One line for every ball whose radius disagrees, or for all that disagree alike."""
+    alone = [
+        f"ball {r.what[0]} has a radius of {r.measured_mm:.1f} +- {r.sd_mm:.1f} mm, "
+        f"the file says {r.file_mm:.1f} mm"
+        for r in radii
+        if not r.agrees
+    ]
+    return alone or _shared_size(radii)
+
+
+def _shared_size(radii: Sequence[Compared]) -> list[str]:
+    """One line for radii that differ by a common factor, where no single one differs enough."""
+    if len(radii) < 3:
+        return []
+    off = float(np.median([(r.measured_mm - r.file_mm) / r.sd_mm for r in radii]))
+    if abs(off) <= _SHARED_SIGMAS:
+        return []
+    factor = float(np.median([r.measured_mm / r.file_mm for r in radii]))
+    radii_text = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
+    return [f"the balls are {factor:.2f} times as large as the body file says ({radii_text})"]
+
+
+def body_finding(text: str, level: Level, cameras_agree: bool) -> Finding:
+    """A line on the body; only weak where cameras do not stand as they should."""
+    if cameras_agree:
+        return Finding(level, "body", text)
+    doubt = "measured with cameras that do not agree: calibrate them first"
+    return Finding(Level.WEAK, "body", f"{text} ({doubt})")
+
+
+def size_findings(body: Body, seen: OutlineGrowth) -> list[Finding]:
+    """A line with the balls' sizes and their uncertainty where outlines contradict the file."""
+    if not seen.contradicts(body):
+        return []
+    off, covariance = seen.growth_mm / body.radii, seen.covariance_mm2
+    relative = covariance / np.outer(body.radii, body.radii)
+    share, sd = float(np.mean(off)), float(np.sqrt(np.mean(relative)))
+    what = "balls look larger or smaller than the body file says"
+    if np.all(np.sign(off) == np.sign(share)):
+        size = "larger" if share > 0 else "smaller"
+        what = f"all balls look {size} than the body file says, by {abs(share):.1%} +- {sd:.1%}"
+    rows = zip(body.balls, seen.growth_mm, np.sqrt(np.diag(covariance)), strict=True)
+    each = ", ".join(
+        f"{ball.name} {ball.radius_mm + growth:.2f} +- {sd:.2f} mm for {ball.radius_mm:g}"
+        for ball, growth, sd in rows
+    )
+    cure = "measure them with callipers, or state a larger radius_tolerance_mm"
+    return [Finding(Level.WEAK, "body", f"{what} (radii: {each}): {cure}")]
+
+
+def twin_findings(body: Body) -> list[Finding]:
+    """A line if the body with some balls exchanged is the same body, turned.
+
+    Which of the two is measured rests on the colours in the file alone: no picture contradicts a
+    file in which they are exchanged.
+    """
+    names = body.names
+    if len(names) > _MAX_BALLS_PERMUTED:
+        return []
+    found = []
+    for order in permutations(range(len(names))):
+        moved = [k for k, other in enumerate(order) if k != other]
+        if not moved:
+            continue
+        try:
+            turn = align_points(body.centers[list(order)], body.centers)
+        except DegenerateGeometryError:
+            continue
+        off_mm = np.linalg.norm(turn.apply(body.centers) - body.centers[list(order)], axis=1)
+        if np.max(off_mm) < _SAME_DISTANCE_MM:
+            angle = float(np.degrees(np.linalg.norm(turn.rotvec)))
+            found.append((len(moved), [names[k] for k in moved], angle))
+    if not found:
+        return []
+    _, exchanged, angle = min(found)
+    others = f" (and {len(found) - 1} more such exchanges)" if len(found) > 1 else ""
+    text = (
+        f"with {', '.join(exchanged[:-1])} and {exchanged[-1]} exchanged in the body file its pose "
+        f"would be turned by {angle:.0f} deg{others}, and no picture could tell: look at the body "
+        "whether each colour sits where the file says"
+    )
+    return [Finding(Level.WEAK, "body", text)]
+
+
+def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:
+    """Mistakes in the file that leave all distances between the located balls unchanged."""
+    names = [name for name in body.names if name in located]
+    centers = body.centers[[body.index(name) for name in names]].reshape(-1, 3)
+    out = [
+        f"where ball {name} is: it was located too seldom"
+        for name in body.names
+        if name not in located
+    ]
+    before = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    for a, b in combinations(range(len(names)), 2):
+        order = list(range(len(names)))
+        order[a], order[b] = b, a
+        if np.max(np.abs(before - before[np.ix_(order, order)])) < _SAME_DISTANCE_MM:
+            out.append(f"an exchange of {names[a]} and {names[b]}")
+    if len(names) < 4 or thickness(centers) < _MAX_PLANAR_MM:
+        out.append("a mirrored layout: the balls located lie in one plane")
+    return tuple(out)
+
+
 _MIN_FRAMES = 3
 _RANGE_RATIO = 2.5
 _EDGE_BIAS_PX = 0.8

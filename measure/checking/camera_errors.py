@@ -17,13 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.checking.clock_system import (
-    Instant,
-    Reduced,
-    eliminate_pose,
-    linearise,
-    symmetric_inverse,
-)
+from measure.checking.clocks import Instant, Reduced, eliminate_pose, linearise, symmetric_inverse
 from measure.checking.finding import Finding, Level
 from measure.geometry import chi_square_quantile
 from measure.model import Body, Camera

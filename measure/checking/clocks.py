@@ -14,13 +14,220 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Bools, Floats
-from measure.checking.clock_system import Instant, bias_deviations, reduce_instant, solve_clocks
+from measure.arrays import Bools, Floats, Ints
 from measure.estimation.pose_fit import PoseObservations
-from measure.geometry import chi_square_quantile
+from measure.geometry import RigidTransform, chi_square_quantile, skew
 from measure.measuring.measurement import Measurement
 from measure.measuring.pose_spline import REACH, motion_at
 from measure.model import Body, Camera, Pose
+
+_HUBER_SIGMAS = 3.0
+_MIN_IMAGE_SPEED_PX_S = 1e-3
+_JACKKNIFE_BLOCKS = 8
+_UNDETERMINED = 1e-12  # Eigenvalues this small, as a share of the largest, are rounding
+_PRIOR_SD_S = 10.0  # A weak prior keeps a parameter that is nearly unobservable from diverging
+
+
+@dataclass(frozen=True, eq=False)
+class Instant:
+    """The observations of one instant, and the motion around it."""
+
+    sightings: PoseObservations  # n ball-views
+    cameras: Ints  # (n,) index of the camera
+    rows: Floats  # (n,) the ball's image row, from -0.5 at the top to 0.5 at the bottom
+    pose: RigidTransform  # at the instant
+    velocity: Floats  # (6,) and
+    acceleration: Floats  # (6,) in the pose's `perturb` chart, per second and second squared
+
+
+def linearise(instant: Instant, clocks: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """The observations of an instant as functions of its pose and the clocks.
+
+    Args:
+        clocks: (c, 2) offsets and readout times in s.
+
+    Returns:
+        Residuals (n, 2), Jacobian by the pose (n, 2, 6), image velocity (n, 2) in px/s, and the
+        balls' centres (n, 3) when their images were taken.
+    """
+    s = instant.sightings
+    lead = s.lead_s + clocks[instant.cameras, 0] + clocks[instant.cameras, 1] * instant.rows
+    moved = lead[:, None] * instant.velocity + lead[:, None] ** 2 / 2 * instant.acceleration
+    speed = instant.velocity + lead[:, None] * instant.acceleration
+    arms = instant.pose.rotate(s.points_body)
+    by_pose = np.concatenate([np.broadcast_to(np.eye(3), (len(s), 3, 3)), -skew(arms)], axis=2)
+    shift = np.einsum("nij,nj->ni", by_pose, moved)
+    points = arms + instant.pose.translation + shift
+    pixels, by_point = s.rig.project(points)
+    jacobian = by_point @ by_pose
+    return s.pixels - pixels, jacobian, np.einsum("nij,nj->ni", jacobian, speed), points
+
+
+def bias_deviations(instants: Sequence[Instant], clocks: Floats, bias_px: float) -> Floats:
+    """Standard deviations (c, 2) in s of the clocks from a constant bias of a camera's detections.
+
+    A bias of `bias_px` resembles a late stamp while the body moves one way, and an early one on the
+    way back: it cancels as far as the image velocities sum to zero.
+    """
+    count = len(clocks)
+    totals, squares = np.zeros((count, 2, 2)), np.full((count, 2), 1e-30)
+    for instant in instants:
+        _, _, flow, _ = linearise(instant, clocks)
+        for k, by in enumerate((flow, flow * instant.rows[:, None])):
+            np.add.at(totals[:, k], instant.cameras, by)
+            np.add.at(squares[:, k], instant.cameras, np.sum(by**2, axis=1))
+    return np.asarray(bias_px * np.linalg.norm(totals, axis=2) / squares)
+
+
+def relative_to_median(offsets_s: Floats, observable: Bools) -> Floats:
+    """The matrix (c, c) that gives offsets (c,) relative to their median.
+
+    Only differences are observable. Usually one clock is wrong: relative to the median it has the
+    whole offset and the others have none.
+
+    Args:
+        offsets_s: (c,).
+        observable: (c,) which of them the motion determines; the others stay unchanged.
+    """
+    matrix, index = np.eye(len(offsets_s)), np.nonzero(observable)[0]
+    if len(index):
+        order = index[np.argsort(offsets_s[index])]
+        middle = order[[(len(order) - 1) // 2, len(order) // 2]]
+        for one in middle:
+            matrix[index, one] -= 0.5
+    return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """One instant's normal equations for p parameters, its pose eliminated."""
+
+    normal: Floats  # (p, p)
+    right: Floats  # (p,)
+    by_residual: Floats  # (n, 2, p) the right side's derivative by the residuals
+    chi_square: float  # weighted sum of squared residuals
+    degrees: int  # of freedom
+    pose: Floats  # (6,) step of the pose alone
+    adapts: Floats  # (6, p) how that follows the parameters
+
+    def pose_step(self, step: Floats) -> Floats:
+        """The pose's step (6,) for a step of the parameters."""
+        return np.asarray(self.pose - self.adapts @ step.reshape(-1))
+
+
+def eliminate_pose(residuals: Floats, by_pose: Floats, by_others: Floats, noise: Floats) -> Reduced:
+    """Weight n residuals robustly, and solve for the pose as a function of the other parameters."""
+    weight, n = robust_weights(residuals, noise), len(residuals)
+    pose, others, off = by_pose.reshape(2 * n, 6), by_others.reshape(2 * n, -1), residuals.ravel()
+    weighted_pose, weighted = ((weight @ by).reshape(2 * n, -1) for by in (by_pose, by_others))
+    inverse = symmetric_inverse(pose.T @ weighted_pose)
+    adapts = inverse @ (pose.T @ weighted)
+    own = weighted - weighted_pose @ adapts
+    square = float(np.einsum("ni,nij,nj->", residuals, weight, residuals))
+    step = inverse @ (weighted_pose.T @ off)
+    by_residual = own.reshape(n, 2, -1)
+    return Reduced(others.T @ own, own.T @ off, by_residual, square, 2 * n - 6, step, adapts)
+
+
+def reduce_instant(instant: Instant, clocks: Floats, readout: Bools) -> Reduced:
+    """Linearise one instant about the clocks (c, 2); only cameras in `readout` (c,) roll."""
+    residuals, by_pose, flow, _ = linearise(instant, clocks)
+    by_clock = np.zeros((len(residuals), 2, clocks.size))
+    rows = np.arange(len(residuals))
+    by_clock[rows, :, 2 * instant.cameras] = flow
+    rolling = readout[instant.cameras] * instant.rows
+    by_clock[rows, :, 2 * instant.cameras + 1] = flow * rolling[:, None]
+    return eliminate_pose(residuals, by_pose, by_clock, instant.sightings.noise)
+
+
+def solve_clocks(
+    parts: Sequence[Reduced], clocks: Floats, readout: Bools, bias: Floats
+) -> tuple[Floats, Floats]:
+    """One Gauss-Newton step (c, 2) for the clocks, and their standard deviations (c, 2).
+
+    Errors of neighbouring frames are correlated (light, edges), so the variances by the residuals
+    are compared with a jackknife over blocks of the recording; the larger ones count.
+
+    Args:
+        parts: of all instants, linearised about `clocks`.
+        clocks: (c, 2) offsets and readout times.
+        readout: (c,) which cameras' shutters may roll.
+        bias: (c, 2) standard deviations from constant errors of the detections.
+    """
+    normal = sum((p.normal for p in parts), np.zeros_like(parts[0].normal))
+    right = sum((p.right for p in parts), np.zeros_like(parts[0].right))
+    observable = np.diag(normal) > _MIN_IMAGE_SPEED_PX_S**2
+    observable = observable & np.stack([np.ones_like(readout), readout], axis=1).reshape(-1)
+    scale = sum(p.chi_square for p in parts) / max(sum(p.degrees for p in parts), 1)
+    step, covariance = _constrained(normal, right, observable)
+    gauge = np.eye(len(step))
+    gauge[::2, ::2] = relative_to_median((clocks.reshape(-1) + step)[::2], observable[::2])
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    variance = np.diag(gauge @ finite @ gauge.T)
+    # Rounding makes variances negative where the motion determines next to nothing.
+    formal = np.sqrt(np.where(variance >= 0, variance, np.inf) * max(1.0, scale))
+    off = _jackknife_steps(parts, normal, right, observable) - step
+    blocks = len(off)
+    spread = np.sqrt((blocks - 1) * np.mean((off @ gauge.T) ** 2, axis=0))
+    sd = np.hypot(np.maximum(formal, spread), np.sqrt(gauge**2 @ bias.reshape(-1) ** 2))
+    sd[~observable] = np.inf
+    step = gauge @ (clocks.reshape(-1) + step) - clocks.reshape(-1)
+    return step.reshape(-1, 2), sd.reshape(-1, 2)
+
+
+def _jackknife_steps(
+    parts: Sequence[Reduced], normal: Floats, right: Floats, observable: Bools
+) -> Floats:
+    """The steps (b, 2 c), each without one of b blocks of the recording."""
+    blocks = np.array_split(np.arange(len(parts)), min(_JACKKNIFE_BLOCKS, len(parts)))
+    steps = []
+    for block in blocks:
+        less = normal - sum(parts[i].normal for i in block)
+        steps.append(_constrained(less, right - sum(parts[i].right for i in block), observable)[0])
+    return np.stack(steps)
+
+
+def symmetric_inverse(matrix: Floats) -> Floats:
+    """The inverse (n, n) of a symmetric matrix; directions it does not determine stay put.
+
+    A pose that too few ball-views determine then takes nothing from the clocks, and a clock that
+    nothing determines is left where it is.
+    """
+    size = np.sqrt(np.abs(np.diag(matrix)))
+    scale = 1 / np.where(size > 0, size, 1.0)
+    scaled = matrix * scale[:, None] * scale
+    return np.asarray(
+        np.linalg.pinv(scaled, rcond=_UNDETERMINED, hermitian=True) * scale[:, None] * scale
+    )
+
+
+def robust_weights(residuals: Floats, noise: Floats) -> Floats:
+    """Inverse covariances (n, 2, 2), less (Huber) for residuals of over three deviations."""
+    inverse = np.linalg.inv(noise)
+    distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, inverse, residuals))
+    return np.asarray(
+        inverse * np.minimum(1.0, _HUBER_SIGMAS / np.maximum(distance, 1e-9))[:, None, None]
+    )
+
+
+def _constrained(normal: Floats, right: Floats, observable: Bools) -> tuple[Floats, Floats]:
+    """Solve for the observable parameters, with offsets of zero mean (bordered system)."""
+    size = len(right)
+    step, covariance = np.zeros(size), np.diag(np.where(observable, 0.0, np.inf))
+    index = np.nonzero(observable)[0]
+    if not len(index):
+        return step, covariance
+    level = float(np.max(np.diag(normal)[index])) or 1.0  # 0 if a block held all the motion
+    border = np.where(index % 2 == 0, 1.0, 0.0)
+    system = np.zeros((len(index) + 1, len(index) + 1))
+    system[:-1, :-1] = normal[np.ix_(index, index)] / level
+    system[:-1, :-1] += np.eye(len(index)) / (level * _PRIOR_SD_S**2)
+    system[-1, :-1] = system[:-1, -1] = border
+    inverse = symmetric_inverse(system)
+    step[index] = (inverse @ np.append(right[index] / level, 0.0))[:-1]
+    covariance[np.ix_(index, index)] = inverse[:-1, :-1] / level
+    return step, covariance
+
 
 _ITERATIONS = 4
 _SIGNIFICANT_SIGMAS = 4.0

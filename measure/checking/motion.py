@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.checking.body_explanations import body_finding
+from measure.checking.body import body_finding
 from measure.checking.camera_errors import (
     CameraError,
     Kind,

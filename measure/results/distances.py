@@ -11,12 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from measure.arrays import Floats
-from measure.checking.body_explanations import (
-    Compared,
-    layout_findings,
-    size_findings,
-    twin_findings,
-)
+from measure.checking.body import Compared, layout_findings, size_findings, twin_findings
 from measure.checking.finding import Level
 from measure.geometry import RigidTransform
 from measure.measuring.ball_radii import outline_growth

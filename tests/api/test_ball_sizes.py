@@ -9,7 +9,7 @@ import pytest
 
 from measure.api import load_profile
 from measure.api.measuring import calibrated_pipeline
-from measure.checking.body_explanations import size_findings
+from measure.checking.body import size_findings
 from measure.host import Registry
 from measure.measuring.ball_radii import outline_growth, seen_balls
 from measure.session import open_session, read_trajectory

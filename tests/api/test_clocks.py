@@ -14,8 +14,7 @@ from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure.session import read_calibration
 from measure.simulation import write_session
-from measure.simulation.catalogue import WEBCAM, webcam_scene
-from measure.simulation.presets import WORKSPACE_MM
+from measure.simulation.catalogue import WEBCAM, WORKSPACE_MM, webcam_scene
 from measure.simulation.trajectory import Sines
 
 LATE_S = {"cam0": 0.0, "cam1": 0.006, "cam2": -0.004, "cam3": 0.0}

@@ -16,8 +16,7 @@ from measure.model import Ball, BallColor, Body
 from measure.results import read_run, read_runs
 from measure.session import read_trajectory, write_body
 from measure.simulation import Still, write_session
-from measure.simulation.catalogue import webcam_scene
-from measure.simulation.presets import stems
+from measure.simulation.catalogue import stems, webcam_scene
 from measure.simulation.renderer import Renderer
 from measure.simulation.scene import Actor, ball_shapes
 from measure.simulation.sensor import encode

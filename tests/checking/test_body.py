@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.checking.body import check_body, locate_balls
-from measure.checking.body_explanations import Compared, radius_findings
+from measure.checking.body import Compared, check_body, locate_balls, radius_findings
 from measure.model import Body
 from tests.scenes import FOUR, RAVEN, a_pose, ring, see
 
