@@ -25,9 +25,8 @@ from measure.robots import SerialChain, find_schema
 from measure.robots.tables import Table
 from measure.session import Trajectory
 from measure.simulation import write_session
-from measure.simulation.catalogue import webcam_scene
-from measure.simulation.files import write_truth
-from measure.simulation.presets import WORKSPACE_MM
+from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
+from measure.simulation.recording import write_truth
 
 HOME_DEG = np.array([0.0, -100, -110, -60, 90, 0])
 SWING_DEG = np.array([1.5, 1.2, 1.5, 18, 18, 25])

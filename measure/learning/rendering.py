@@ -18,8 +18,8 @@ from measure.robots import RobotLog, raven_chain, raven_schema, write_log
 from measure.robots.simulator import Cables, SimulatedRun, Teleoperation, simulate
 from measure.session import Trajectory
 from measure.simulation import Lighting, Material, Scene, write_session
-from measure.simulation.files import write_truth
-from measure.simulation.presets import WORKSPACE_MM, lamps, paper_rig, stems
+from measure.simulation.catalogue import WORKSPACE_MM, lamps, paper_rig, stems
+from measure.simulation.recording import write_truth
 
 _STYLE = Teleoperation(wrist_deg=(25.0, 20.0, 20.0))  # the balls stay in view of most cameras
 _LOG_HZ = 500.0

@@ -22,8 +22,9 @@ from measure.simulation.kernels import (
     ROUGHNESS,
     VELOCITY,
     A,
+    Points,
+    RayHits,
 )
-from measure.simulation.surface_kernels import Points, RayHits
 
 LAMP_COLOUR, LAMP_RADIUS, LAMP_ROW = 3, 6, 7
 REFERENCE_MM = 1000.0

@@ -15,9 +15,8 @@ from measure.geometry import RigidTransform
 from measure.model import Camera, paper_body
 from measure.simulation import kernels
 from measure.simulation.caster import Stage
-from measure.simulation.catalogue import WEBCAM, cloth_room
-from measure.simulation.files import calibration_toml
-from measure.simulation.presets import WORKSPACE_MM, lamps, look_at, paper_rig
+from measure.simulation.catalogue import WEBCAM, WORKSPACE_MM, cloth_room, lamps, look_at, paper_rig
+from measure.simulation.recording import calibration_toml
 from measure.simulation.renderer import Renderer
 from measure.simulation.scene import Scene
 from measure.simulation.sensor import CameraSensor, encode

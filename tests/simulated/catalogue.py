@@ -9,8 +9,19 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera, paper_body
-from measure.simulation.catalogue import WEBCAM, cloth_room, motion, plain_scene, webcam_scene
-from measure.simulation.presets import MATT, body, lamps, ring, shaft, stems
+from measure.simulation.catalogue import (
+    MATT,
+    WEBCAM,
+    body,
+    cloth_room,
+    lamps,
+    motion,
+    plain_scene,
+    ring,
+    shaft,
+    stems,
+    webcam_scene,
+)
 from measure.simulation.scene import BALL_ALBEDO, Scene, painted
 from measure.simulation.shading import Lighting, Material
 from measure.simulation.shapes import Capsule, Cuboid, Shape, Sphere

@@ -14,7 +14,16 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled, inlined
-from measure.simulation.kernels import NOTHING, REACH, REFLECTANCE, ROUGHNESS, enter, offset
+from measure.simulation.kernels import (
+    NOTHING,
+    REACH,
+    REFLECTANCE,
+    ROUGHNESS,
+    Points,
+    enter,
+    find_normal,
+    offset,
+)
 from measure.simulation.light_kernels import (
     Lights,
     ambient_share,
@@ -24,7 +33,6 @@ from measure.simulation.light_kernels import (
     raised,
     reflect_point,
 )
-from measure.simulation.surface_kernels import Points, find_normal
 
 _GRAZING = 1e-9
 _ROWS, _COLUMNS = 33, 128

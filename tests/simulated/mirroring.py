@@ -15,9 +15,9 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.simulation import kernels
+from measure.simulation.kernels import REUSE, Points, no_points
 from measure.simulation.light_kernels import Lights
 from measure.simulation.scene import Scene
-from measure.simulation.surface_kernels import REUSE, Points, no_points
 from tests.simulated.mirror_kernels import (
     count_facets,
     interpolate,

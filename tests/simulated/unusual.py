@@ -12,8 +12,19 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.model import Camera, Intrinsics
-from measure.simulation.catalogue import WEBCAM, cloth_room, motion, webcam_scene
-from measure.simulation.presets import MATT, WORKSPACE_MM, body, lamps, ring, shaft, stems
+from measure.simulation.catalogue import (
+    MATT,
+    WEBCAM,
+    WORKSPACE_MM,
+    body,
+    cloth_room,
+    lamps,
+    motion,
+    ring,
+    shaft,
+    stems,
+    webcam_scene,
+)
 from measure.simulation.scene import Scene, painted
 from measure.simulation.shading import Lamp, Lighting, Rgb
 from measure.simulation.shapes import Sphere

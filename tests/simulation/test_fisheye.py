@@ -13,8 +13,7 @@ from measure.host import Registry
 from measure.model import Camera, Intrinsics
 from measure.session import open_session, read_trajectory
 from measure.simulation import write_session
-from measure.simulation.catalogue import plain_scene
-from measure.simulation.presets import ring
+from measure.simulation.catalogue import plain_scene, ring
 from tests.simulated.mirroring import mirrored
 
 FOCAL = 640 / np.radians(120)

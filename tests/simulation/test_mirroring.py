@@ -20,7 +20,7 @@ from measure.simulation import (
     Still,
 )
 from measure.simulation.caster import Stage
-from measure.simulation.presets import PLASTIC, look_at
+from measure.simulation.catalogue import PLASTIC, look_at
 from tests.simulation.mirror_rooms import (
     CENTER,
     EVEN,

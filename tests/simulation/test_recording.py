@@ -11,7 +11,7 @@ import pytest
 from measure.session import open_session, read_calibration
 from measure.simulation import CameraSensor, write_session
 from measure.simulation.catalogue import plain_scene
-from measure.simulation.files import calibration_toml
+from measure.simulation.recording import calibration_toml
 from measure.simulation.renderer import Renderer
 from measure.simulation.scene import Scene
 from tests.simulated.catalogue import async_scene, scene_catalogue

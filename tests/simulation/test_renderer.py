@@ -20,7 +20,7 @@ from measure.simulation import (
     render,
 )
 from measure.simulation.caster import spread
-from measure.simulation.presets import PLASTIC, look_at, plain_lighting
+from measure.simulation.catalogue import PLASTIC, look_at, plain_lighting
 
 FLAT_LIGHT = Lighting((), (1.0, 1.0, 1.0), below=1.0)
 LENS = np.array([0.08, -0.15, 0.001, -0.0012, 0.03])

@@ -91,7 +91,7 @@ def test_geometry_is_as_said() -> None:
 
 
 def test_resized_camera_sees_what_the_whole_one_sees() -> None:
-    from measure.simulation.presets import ring
+    from measure.simulation.catalogue import ring
 
     point = np.array([[20.0, -30.0, 260.0]])
     for whole, half in zip(ring(4, 24), SCENES["small-pictures"].cameras, strict=True):
