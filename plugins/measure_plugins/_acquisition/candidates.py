@@ -21,9 +21,10 @@ from measure_plugins._acquisition.color_table import (
     color_table,
     is_pale,
     more_vivid_than_the_rest,
+    much_in_shade,
+    with_shade,
 )
 from measure_plugins._acquisition.patches import majority
-from measure_plugins._acquisition.shade import much_in_shade, with_shade
 
 _REDUCED_WIDTH = 320
 

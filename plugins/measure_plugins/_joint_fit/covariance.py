@@ -8,9 +8,8 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
-from measure.estimation.pixel_sensitivity import by_lens
 from measure.geometry.rotation_kernels import apply_matrix
-from measure.model.lens import to_pixel
+from measure.model.lens import by_lens, to_pixel
 from measure.model.rig import RigRows
 from measure_plugins._joint_fit.elimination import prior_view_shifts
 from measure_plugins._joint_fit.problem import PackedOutlines

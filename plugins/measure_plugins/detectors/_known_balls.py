@@ -99,10 +99,9 @@ class KnownBalls:
         return CameraImage(
             np.ascontiguousarray(image.pixels),
             appearance.table,
-            appearance.sensor,
+            appearance.encoding,
             self._lens,
             appearance.point_lights,
-            appearance.correction_weight,
         )
 
     def cones(self, expected: Sequence[Expectation]) -> Floats:

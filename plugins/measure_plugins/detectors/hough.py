@@ -17,8 +17,15 @@ from measure.errors import ConfigError
 from measure.host import Detector, Settings, hookimpl, setting
 from measure.model import Ball, Body, Camera, ConvertedImage, Detection, Expectation, Image
 from measure_plugins.detectors import _hough_steps as steps
-from measure_plugins.detectors._hough_regions import HoughSearch, Window, cut, finder, regions
-from measure_plugins.detectors._hough_steps import Find, tune_blur
+from measure_plugins.detectors._hough_steps import (
+    Find,
+    HoughSearch,
+    Window,
+    cut,
+    finder,
+    regions,
+    tune_blur,
+)
 
 _SAME_COLOR_SHARE = 0.5
 """Two colours of which one covers this share of the other cannot be told apart."""

@@ -53,7 +53,7 @@ class OutlineDetector(SelfCalibratingDetector):
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         super().__init__(config, body, camera)
         from measure_plugins._acquisition import AcquisitionSettings
-        from measure_plugins._acquisition.shade import with_shade
+        from measure_plugins._acquisition.color_table import with_shade
         from measure_plugins._outline.appearance.model import first_appearance
         from measure_plugins._outline.self_calibration.schedule import SelfCalibration
         from measure_plugins.detectors._known_balls import KnownBalls
@@ -100,7 +100,7 @@ class OutlineDetector(SelfCalibratingDetector):
         return self._self_calibration.estimate
 
     def fuse_calibration(self, states: Sequence[object]) -> None:
-        """Fuse point lights, correction weight and a common tone curve over all cameras."""
+        """Fuse point lights and a common tone curve over all cameras."""
         from measure_plugins._outline.self_calibration.estimate import (
             AppearanceEstimate,
             has_common_response,

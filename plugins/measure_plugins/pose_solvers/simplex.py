@@ -5,7 +5,9 @@ Peng, Yang, Su, Hannaford (ICRA 2020), section II.E "End Effector Localization".
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations
+from math import cos, sin
 
 import numpy as np
 
@@ -14,7 +16,6 @@ from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Motion, Pose
-from measure_plugins.pose_solvers._simplex_fit import fit_simplex, initial_guess
 
 
 class SimplexSettings(Settings):
@@ -123,3 +124,153 @@ def _covariance(
     inverse = np.linalg.pinv(jacobian.reshape(-1, 6)).reshape(6, -1, 3)
     noise = np.stack([position.covariance for position in positions])
     return np.asarray(np.einsum("inj,njk,mnk->im", inverse, noise, inverse))
+
+
+_MIN_BREADTH_RATIO = 0.02
+"""A third ball nearer to the line of the two others than this share of their distance is on it."""
+
+_NEAR_GIMBAL_LOCK = 0.9
+"""|sin(beta)| beyond which alpha and gamma nearly turn about one axis and the simplex would
+collapse."""
+
+
+def initial_guess(points_world: Floats, points_body: Floats) -> RigidTransform:
+    """The paper's first guess, for any body of three or more balls.
+
+    The paper: the middle of the green and the red ball is the origin, the directions from there to
+    the green and the yellow ball are the x and the y axis. In general: the two balls farthest apart
+    stand for green and red, the ball farthest from their line for yellow; the same frame is built
+    from the measured and from the body's own centres, and the guess lays one on the other. For the
+    paper's body the second is the identity.
+
+    Args:
+        points_world: (n, 3) measured centres in mm, n >= 3.
+        points_body: (n, 3) the same balls in the body frame.
+
+    Raises:
+        DegenerateGeometryError: the balls lie on one line.
+    """
+    green, red = max(
+        combinations(range(len(points_body)), 2),
+        key=lambda pair: float(np.linalg.norm(points_body[pair[0]] - points_body[pair[1]])),
+    )
+    middle = (points_body[green] + points_body[red]) / 2
+    along = points_body[green] - middle
+    off_line = np.linalg.norm(np.cross(points_body - middle, along), axis=1)
+    chosen = [green, int(np.argmax(off_line)), red]
+    world_from_frame = _frame(points_world[chosen])
+    body_from_frame = _frame(points_body[chosen])
+    return world_from_frame @ body_from_frame.inverse()
+
+
+def fit_simplex(
+    points_world: Floats,
+    points_body: Floats,
+    guess: RigidTransform,
+    steps: tuple[float, float],
+    tolerance: float,
+    max_evaluations: int,
+) -> tuple[RigidTransform, bool]:
+    """Minimise the sum of squared distances (the paper's cost C) by Nelder and Mead's method.
+
+    Args:
+        points_world: (n, 3) measured centres in mm.
+        points_body: (n, 3) the same balls in the body frame.
+        steps: size of the first simplex in mm and rad.
+        tolerance: extent of the last simplex in mm and rad.
+
+    Returns:
+        world_from_body, and whether the search converged.
+    """
+    from scipy.optimize import minimize
+
+    # Near beta = +-90 deg Euler angles lose a degree of freedom: look at the world from the side.
+    turn = _away_from_gimbal_lock(guess.rotation)
+    start = np.concatenate([turn @ guess.translation, _euler(turn @ guess.rotation)])
+    simplex = np.vstack([start, start + np.diag([steps[0]] * 3 + [steps[1]] * 3)])
+    result = minimize(
+        _cost(points_world @ turn.T, points_body),
+        start,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": simplex,
+            "xatol": tolerance,
+            "fatol": tolerance**2,
+            "maxfev": max_evaluations,
+            "maxiter": max_evaluations,
+        },
+    )
+    best = np.asarray(result.x, dtype=np.float64)
+    pose = RigidTransform(turn.T @ _rotation(*best[3:]), turn.T @ best[:3])
+    return pose, bool(result.success)
+
+
+def _frame(three_points: Floats) -> RigidTransform:
+    """Origin between the first and the last, x towards the first, y towards the second."""
+    first, second, last = three_points
+    origin = (first + last) / 2
+    x, towards_second = first - origin, second - origin
+    z = np.cross(x, towards_second)
+    length = float(np.linalg.norm(x))
+    if np.linalg.norm(z) <= _MIN_BREADTH_RATIO * length**2 or length == 0:
+        raise DegenerateGeometryError(
+            f"three ball centres lie on one line (distance from it "
+            f"{np.linalg.norm(z) / max(length, 1e-12):.2f} mm): no pose"
+        )
+    x, z = x / length, z / np.linalg.norm(z)
+    return RigidTransform(np.stack([x, np.cross(z, x), z], axis=1), origin)
+
+
+def _rotation(alpha: float, beta: float, gamma: float) -> Floats:
+    """Rot(z, gamma) Rot(y, beta) Rot(x, alpha), (3, 3)."""
+    ca, sa, cb, sb, cg, sg = cos(alpha), sin(alpha), cos(beta), sin(beta), cos(gamma), sin(gamma)
+    return np.array(
+        [
+            [cg * cb, cg * sb * sa - sg * ca, cg * sb * ca + sg * sa],
+            [sg * cb, sg * sb * sa + cg * ca, sg * sb * ca - cg * sa],
+            [-sb, cb * sa, cb * ca],
+        ]
+    )
+
+
+def _euler(rotation: Floats) -> Floats:
+    """(alpha, beta, gamma) in rad of a rotation (3, 3) away from gimbal lock."""
+    return np.array(
+        [
+            np.arctan2(rotation[2, 1], rotation[2, 2]),
+            np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0)),
+            np.arctan2(rotation[1, 0], rotation[0, 0]),
+        ]
+    )
+
+
+def _away_from_gimbal_lock(rotation: Floats) -> Floats:
+    """A turn (3, 3) of the world in which beta of `rotation` is far from +-90 deg."""
+    if abs(rotation[2, 0]) < _NEAR_GIMBAL_LOCK:
+        return np.eye(3)
+    return np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+
+
+def _cost(points_world: Floats, points_body: Floats) -> Callable[[Floats], float]:
+    """The paper's C of (x, y, z, alpha, beta, gamma); plain floats, for it is called 500 times."""
+    pairs = [
+        (*world, *body)
+        for world, body in zip(points_world.tolist(), points_body.tolist(), strict=True)
+    ]
+
+    def cost(unknowns: Floats) -> float:
+        x, y, z, alpha, beta, gamma = unknowns.tolist()
+        ca, sa, cb, sb = cos(alpha), sin(alpha), cos(beta), sin(beta)
+        cg, sg = cos(gamma), sin(gamma)
+        r00, r01, r02 = cg * cb, cg * sb * sa - sg * ca, cg * sb * ca + sg * sa
+        r10, r11, r12 = sg * cb, sg * sb * sa + cg * ca, sg * sb * ca - cg * sa
+        r20, r21, r22 = -sb, cb * sa, cb * ca
+        total = 0.0
+        for wx, wy, wz, bx, by, bz in pairs:
+            ex = r00 * bx + r01 * by + r02 * bz + x - wx
+            ey = r10 * bx + r11 * by + r12 * bz + y - wy
+            ez = r20 * bx + r21 * by + r22 * bz + z - wz
+            total += ex * ex + ey * ey + ez * ez
+        return total
+
+    return cost

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure_plugins._acquisition.circle_fit import refined
-from measure_plugins._acquisition.circles import circles_of, circles_of_each
+from measure_plugins._acquisition.circles import circles_of, circles_of_each, refined
 from measure_plugins._acquisition.patches import framed
 
 SEARCH = ((3.0, 40.0), 0.16, 0.3, 5)

@@ -14,8 +14,12 @@ from measure.measuring import Status
 from measure.model import BallColor, Image
 from measure.session import open_session, read_trajectory
 from measure.simulation import write_session
-from measure_plugins._acquisition.color_table import classify, color_table
-from measure_plugins._acquisition.shade import much_in_shade, with_shade
+from measure_plugins._acquisition.color_table import (
+    classify,
+    color_table,
+    much_in_shade,
+    with_shade,
+)
 from tests.plugins.acquisition.test_candidates import BGR, RAVEN, assert_at, search
 from tests.simulated.unusual import unusual_scenes
 

@@ -16,7 +16,7 @@ from measure_plugins._joint_fit.elimination import (
     subtract_view_shifts,
     update_view_shifts,
 )
-from measure_plugins._joint_fit.sensitivity import by_effect
+from measure_plugins._joint_fit.solve import by_effect
 
 VIEW_OF = np.array([0, 0, 0, 1, 1])
 VARIANCES = np.array([[0.01, 0.02, 0.03], [0.04, 0.01, 0.02], [0.3, 0.3, 0.1]] + [[0.02] * 3] * 2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED
-from measure_plugins._outline.self_calibration.alignment import aligned_residuals
+from measure_plugins._outline.self_calibration.response_and_blur import aligned_residuals
 
 STEP_PX, SAMPLES, RAYS, COMPARED = 0.5, 24, 30, 18
 NONE = np.empty(0)

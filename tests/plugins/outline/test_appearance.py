@@ -2,12 +2,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
-from measure.simulation import CameraSensor
-from measure.simulation.sensor import encode
 from measure_plugins._outline.appearance.model import (
     GLOSSY,
     MATT,
@@ -37,17 +34,6 @@ def test_a_standard_camera_and_glossy_balls_are_left_as_they_are(estimated_appea
     assert estimated_appearance["still"].index == GLOSSY
     assert np.all(np.abs(estimated_appearance["still"].bends) < 1e-6)
     assert 0.8 < estimated_appearance["still"].blur_px < 1.3
-
-
-def test_blur_of_chroma_is_estimated(estimated_appearance):
-    """JPEG 4:2:0 keeps colour at half the resolution."""
-
-    def halved(_, pixels, balls):
-        stored = np.frombuffer(encode(pixels, CameraSensor(quality=90, chroma="420")), np.uint8)
-        return cv2.imdecode(stored, cv2.IMREAD_COLOR), balls
-
-    colour_at_half = estimates(scenes()["still"], CAMERA, halved)[1]
-    assert estimated_appearance["still"].chroma_px < 0.7 < 0.85 < colour_at_half.chroma_px < 1.1
 
 
 def test_a_bent_tone_curve_is_found(estimated_appearance):

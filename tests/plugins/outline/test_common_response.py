@@ -11,7 +11,6 @@ from measure_plugins._outline.self_calibration.estimate import (
     has_common_response,
 )
 from measure_plugins._outline.self_calibration.point_lights import LightEquations
-from measure_plugins._outline.self_calibration.trust import PredictionAgreement
 from tests.plugins.outline.estimates import TIMES_S, calibration_of, cones, estimated
 from tests.plugins.rendering import picture, scenes
 
@@ -24,9 +23,7 @@ def estimates_of(shares, bends):
     start = first_appearance("srgb")
     dark = LightEquations(np.zeros((0, 4)), np.zeros((0, 0)), np.zeros(0))
     return [
-        AppearanceEstimate(
-            start, False, left, np.array(b), dark, None, PredictionAgreement(0.0, 0.0)
-        )
+        AppearanceEstimate(start, False, left, np.array(b), dark, None)
         for left, b in zip(shares, bends, strict=True)
     ]
 

@@ -10,13 +10,7 @@ from measure_plugins._outline.appearance.interreflection import (
     ball_reflection_shares,
     balls_behind,
 )
-from measure_plugins._outline.appearance.model import (
-    DEFAULT_CORRECTION_WEIGHT,
-    GLOSSY,
-    MATT,
-    Appearance,
-    first_appearance,
-)
+from measure_plugins._outline.appearance.model import GLOSSY, MATT, Appearance, first_appearance
 from measure_plugins._outline.appearance.point_lights import shade_by_lights
 from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, radial_tables
 from measure_plugins._outline.appearance.render import Ambient
@@ -25,8 +19,12 @@ from measure_plugins._outline.fitting.edges import (
     corrected_edges,
     find_edge_pairs,
 )
-from measure_plugins._outline.sampling.ray_groups import middle_angles
-from measure_plugins._outline.sampling.rays import angles_around, cast_rays, frame_about
+from measure_plugins._outline.sampling.rays import (
+    angles_around,
+    cast_rays,
+    frame_about,
+    middle_angles,
+)
 from tests.plugins.outline.estimates import cones
 from tests.plugins.rendering import picture, scenes
 
@@ -146,9 +144,9 @@ def _mean_error(view, known):
     lit = shade_by_lights(tables.diffuse, tables.fresnel_loss[0], middles, appearance.point_lights)
     used = shares if known else shares[:, :0].copy()
     ambient = Ambient(lit, used)
-    inputs = PredictionInputs(pixels, appearance.table, appearance.sensor, rays, tables, ambient)
+    inputs = PredictionInputs(pixels, appearance.table, appearance.encoding, rays, tables, ambient)
     found = find_edge_pairs(inputs)
-    edges = corrected_edges(found, DEFAULT_CORRECTION_WEIGHT)
+    edges = corrected_edges(found)
     before = np.repeat(shares[0] > 0, RAYS // len(middles))
     good = before & (np.abs(edges.shifts) < 2.0)
     assert np.count_nonzero(good) > 8

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure_plugins._outline.appearance.model import DEFAULT_CORRECTION_WEIGHT, MATT
+from measure_plugins._outline.appearance.model import MATT
 from measure_plugins._outline.appearance.point_lights import (
     fit_light_shading,
     lights_about,
@@ -20,8 +20,13 @@ from measure_plugins._outline.fitting.edges import (
     corrected_edges,
     find_edge_pairs,
 )
-from measure_plugins._outline.sampling.ray_groups import middle_angles
-from measure_plugins._outline.sampling.rays import OCCLUDED, STEPS, cast_rays, frame_about
+from measure_plugins._outline.sampling.rays import (
+    OCCLUDED,
+    STEPS,
+    cast_rays,
+    frame_about,
+    middle_angles,
+)
 from tests.plugins.outline.estimates import calibration_of, cones, estimates, settled
 from tests.plugins.rendering import picture, plain
 
@@ -223,12 +228,9 @@ def _mean_errors(scene, appearance):
         )
         ambient = Ambient(light, np.zeros((8, 0)))
         found = find_edge_pairs(
-            PredictionInputs(pixels, table, appearance.sensor, rays, tables, ambient)
+            PredictionInputs(pixels, table, appearance.encoding, rays, tables, ambient)
         )
-        edges, center = (
-            corrected_edges(found, DEFAULT_CORRECTION_WEIGHT),
-            pose.apply(ball.center_mm),
-        )
+        edges, center = (corrected_edges(found), pose.apply(ball.center_mm))
         limb = rays.around @ frame[:2] @ camera.camera_from_world.rotation
         lit = np.full(72, -1.0)
         for light in scene.lighting.lights:

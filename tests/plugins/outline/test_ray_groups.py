@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure_plugins._outline.sampling.ray_groups import middle_angles, together
-from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED, OUT_OF_IMAGE, angles_around
+from measure_plugins._outline.sampling.rays import (
+    CLEAR,
+    OCCLUDED,
+    OUT_OF_IMAGE,
+    angles_around,
+    middle_angles,
+    together,
+)
 
 
 def test_middle_angles_lie_halfway_between_the_rays_of_a_pair() -> None:

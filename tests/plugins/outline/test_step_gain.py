@@ -13,8 +13,13 @@ from measure_plugins._outline.fitting.measurement import (
     apply_step_gain,
     measure_step_gain,
 )
-from measure_plugins._outline.fitting.outline import corrected_axis, fit_scan
-from measure_plugins._outline.fitting.scan import OutlineSearch, ambient_light, scan_with_model
+from measure_plugins._outline.fitting.scan import (
+    OutlineSearch,
+    ambient_light,
+    corrected_axis,
+    fit_scan,
+    scan_with_model,
+)
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
 from tests.plugins.rendering import picture, scenes

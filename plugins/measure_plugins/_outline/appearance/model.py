@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Singles
 from measure.errors import ConfigError
 from measure_plugins._outline.appearance.point_lights import no_point_lights
 from measure_plugins._outline.appearance.radial_basis import (
@@ -21,14 +21,12 @@ from measure_plugins._outline.appearance.radial_basis import (
     packed_radials,
     radial_tables,
 )
-from measure_plugins._outline.appearance.sensor import CHROMA_PX, Sensor, chroma_taps, encoding
+from measure_plugins._outline.appearance.sensor import encoding
 
 GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
 """Refractive index of lacquer and clear plastic; and of paint without a boundary that reflects."""
 BENDS = 3
-DEFAULT_CORRECTION_WEIGHT = 0.9
-"""Correction weight before it is estimated how well predictions agree with pictures."""
-_VALUES = np.arange(256) / 255.0
+_LEVELS = np.arange(256) / 255.0
 _FLATTEST = 1e-4
 
 
@@ -40,13 +38,10 @@ class Appearance:
     bends: Floats  # (3,) the camera's deviation from it, see `bent_table`
     blur_px: float  # sigma of the blur of brightness
     index: float
-    chroma_px: float = CHROMA_PX  # sigma of the blur of colour beyond that
     # whether it mirrors, at grazing angles, the colours of what is behind the ball.
     mirrors: bool = True
     # (k, 4) in the camera frame, see `point_lights`; none if not known.
     point_lights: Floats = field(default_factory=no_point_lights)
-    # share of the predicted bias of edges that is subtracted, see `trust`.
-    correction_weight: float = DEFAULT_CORRECTION_WEIGHT
 
     @cached_property
     def table(self) -> Floats:
@@ -54,9 +49,9 @@ class Appearance:
         return bent_table(self.tone, self.bends)
 
     @cached_property
-    def sensor(self) -> Sensor:
-        """How the camera turns light into picture values."""
-        return Sensor(encoding(self.table), chroma_taps(self.chroma_px))
+    def encoding(self) -> Singles:
+        """How the camera turns light into picture values, see `sensor.encoding`."""
+        return encoding(self.table)
 
     def tables(self, radius_px: float, half_angle: float) -> RadialTables:
         """Profiles of a ball of this size along a ray across its outline."""
@@ -85,13 +80,10 @@ def bent_table(tone: str, bends: Floats) -> Floats:
         (256,) light, rising, 0 to 1.
     """
     lift, bow, s_shape = bends
-    values = _VALUES - lift * (1 - _VALUES)
-    values = values + bow * np.sin(np.pi * _VALUES) + s_shape * np.sin(2 * np.pi * _VALUES)
-    values = np.maximum.accumulate(np.clip(values, 0, None)) + _FLATTEST * _VALUES
-    return np.interp(values / values[-1], _VALUES, tone_table(tone))
-
-
-_LEVELS = np.arange(256) / 255.0
+    values = _LEVELS - lift * (1 - _LEVELS)
+    values = values + bow * np.sin(np.pi * _LEVELS) + s_shape * np.sin(2 * np.pi * _LEVELS)
+    values = np.maximum.accumulate(np.clip(values, 0, None)) + _FLATTEST * _LEVELS
+    return np.interp(values / values[-1], _LEVELS, tone_table(tone))
 
 
 def srgb_to_light(value: Floats) -> Floats:

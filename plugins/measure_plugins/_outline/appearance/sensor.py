@@ -7,8 +7,6 @@ See docs/explanation/outline.md, formula 9.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from measure.arrays import Floats, Reals, Singles
@@ -16,7 +14,7 @@ from measure.compiling import compiled
 from measure_plugins._outline.sampling.rays import STEPS
 
 CHROMA_PX = 0.8
-"""Blur of chroma beyond that of luma, before it is estimated."""
+"""Blur of chroma beyond that of luma."""
 _BLUE, _GREEN, _RED = 0.114, 0.587, 0.299  # Weights of the luma of JPEG (BT.601)
 CHROMA_REACH = 3
 """Steps to either side over which chroma is blurred: three sigma."""
@@ -26,34 +24,23 @@ _INTERPOLATED = 1 / 6
 between two pixels."""
 _SIDE_WEIGHT = _INTERPOLATED / (2 * _STEP**2)
 """Weight of either neighbouring step in a blur of that variance."""
-_TAP_OFFSETS_PX = np.arange(-CHROMA_REACH, CHROMA_REACH + 1) * _STEP
+_OFFSETS_PX = np.arange(-CHROMA_REACH, CHROMA_REACH + 1) * _STEP
+_WEIGHTS = np.exp(-0.5 * _OFFSETS_PX**2 / (CHROMA_PX**2 + _INTERPOLATED))
+_TAPS = (_WEIGHTS / _WEIGHTS.sum())[CHROMA_REACH:].copy()
+"""Weights of a step and its neighbours in the blur of colour."""
 _TABLE_STEPS = 2048
 _NO_LIGHT, _FULL_LIGHT = np.float32(0), np.float32(1)
-
-
-class Sensor(NamedTuple):
-    """How a camera turns light into picture values."""
-
-    encoding: Singles  # (2050,) see `encoding`
-    taps: Floats  # (4,) see `chroma_taps`
 
 
 def encoding(table: Floats) -> Singles:
     """The inverse of a tone table (256,): picture values, 0 to 1, at even steps of sqrt(light).
 
-    In steps of the root, since tone curves are steep in the shade: the error of linear
-        interpolation
-    is below a thirtieth of a level. The last entry is repeated for the interpolation at full light.
+    In steps of the root, since tone curves are steep in the shade: linear interpolation then errs
+    by less than a thirtieth of a level. The last entry is repeated, for full light.
     """
     light = np.linspace(0.0, 1.0, _TABLE_STEPS + 1) ** 2
     values = np.interp(light, table, np.arange(len(table)) / (len(table) - 1))
     return np.append(values, values[-1]).astype(np.float32)
-
-
-def chroma_taps(chroma_px: float) -> Floats:
-    """Weights (CHROMA_REACH + 1,) of a step and its neighbours in the blur of colour."""
-    weights = np.exp(-0.5 * _TAP_OFFSETS_PX**2 / (chroma_px**2 + _INTERPOLATED))
-    return np.ascontiguousarray((weights / weights.sum())[CHROMA_REACH:])
 
 
 @compiled
@@ -76,7 +63,7 @@ def encode(light: Floats, inverse: Singles) -> Singles:
 
 
 @compiled
-def read_off(values: Reals, taps: Floats) -> Reals:
+def read_off(values: Reals) -> Reals:
     """Blur BGR values (3, m, n) along the rays as cameras and interpolation do.
 
     Chroma (blue and red minus luma) is blurred by the camera and by interpolation between pixels,
@@ -84,7 +71,6 @@ def read_off(values: Reals, taps: Floats) -> Reals:
 
     Args:
         values: (3, m, n).
-        taps: see `chroma_taps`.
 
     Returns:
         (3, m - CHROMA_REACH, n): from the step CHROMA_REACH on; beyond the last step, values are
@@ -100,8 +86,8 @@ def read_off(values: Reals, taps: Floats) -> Reals:
         for i in range(n):
             bluer[j * n + i], redder[j * n + i] = bluer[(m - 1) * n + i], redder[(m - 1) * n + i]
     blue, green, red = out[0].reshape(-1), out[1].reshape(-1), out[2].reshape(-1)
-    _blur(bluer, n, taps, blue)
-    _blur(redder, n, taps, red)
+    _blur(bluer, n, blue)
+    _blur(redder, n, red)
     _from_chroma(_interpolated(grey[(CHROMA_REACH - 1) * n :], n), blue, green, red)
     return out
 
@@ -143,10 +129,10 @@ def _interpolated(grey: Reals, n: int) -> Reals:
 
 
 @compiled
-def _blur(values: Reals, n: int, taps: Floats, out: Reals) -> None:
+def _blur(values: Reals, n: int, out: Reals) -> None:
     """Blur rows of n across, into the rows from CHROMA_REACH on; all taps in one pass."""
     number = out.dtype.type
-    a, b, c, d = number(taps[0]), number(taps[1]), number(taps[2]), number(taps[3])
+    a, b, c, d = number(_TAPS[0]), number(_TAPS[1]), number(_TAPS[2]), number(_TAPS[3])
     v1, v2, v3 = values[n:], values[2 * n :], values[3 * n :]
     v4, v5, v6 = values[4 * n :], values[5 * n :], values[6 * n :]
     for i in range(len(out)):

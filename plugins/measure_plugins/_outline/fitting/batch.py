@@ -19,8 +19,7 @@ from measure_plugins._outline.fitting.measurement import (
     measure_unknown_size,
     search_about_circle,
 )
-from measure_plugins._outline.fitting.outline import Outline
-from measure_plugins._outline.fitting.scan import CameraImage, OutlineSearch
+from measure_plugins._outline.fitting.scan import CameraImage, Outline, OutlineSearch
 from measure_plugins._outline.sampling.rays import radius_px
 
 _BEYOND_DOUBT = 0.8

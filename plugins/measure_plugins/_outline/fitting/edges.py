@@ -13,7 +13,7 @@ from measure.arrays import Bytes, Floats, Reals, Singles
 from measure.compiling import compiled, folded
 from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.render import FIT_LAST_PX, Ambient, predict_light
-from measure_plugins._outline.appearance.sensor import CHROMA_REACH, Sensor, encode, read_off
+from measure_plugins._outline.appearance.sensor import CHROMA_REACH, encode, read_off
 from measure_plugins._outline.sampling.edge_crossing import (
     HIGHLIGHT_PX,
     crossings,
@@ -22,8 +22,16 @@ from measure_plugins._outline.sampling.edge_crossing import (
     project,
     uncertainty,
 )
-from measure_plugins._outline.sampling.ray_groups import TOGETHER, middle_angles, together
-from measure_plugins._outline.sampling.rays import CLEAR, STEPS, RaySet, Statuses, sample
+from measure_plugins._outline.sampling.rays import (
+    CLEAR,
+    STEPS,
+    TOGETHER,
+    RaySet,
+    Statuses,
+    middle_angles,
+    sample,
+    together,
+)
 
 INSIDE_PX = (-7.0, -3.0)
 """Where the colour inside is taken, px along the normal: inside the blurred edge, and near it."""
@@ -38,6 +46,7 @@ SEARCH_PX = 3.0
 _BACKGROUND_PX = (3.0, 6.0)
 _MIN_COLOR_SHARE = 0.35
 """Share of the edges' contrast that must be chromatic for edges to be found without grey."""
+_CORRECTION_WEIGHT = 0.9  # Share subtracted of the difference of a ray's bias from the median
 _CORRECTION_SD_SHARE = 0.25
 """Standard deviation of a ray's correction, per difference from the outline's median."""
 _SYSTEMATIC_PX = 0.25
@@ -67,7 +76,7 @@ class PredictionInputs(NamedTuple):
 
     pixels: Bytes  # (h, w, 3) uint8
     table: Floats  # (256,) light of each picture value
-    sensor: Sensor
+    encoding: Singles  # see `sensor.encoding`
     rays: RaySet  # n rays across the predicted outline; those that leave the picture are marked
     tables: RadialTables  # what the ball shows along a ray, see `tables.tables`
     ambient: Ambient  # the light on it, along the rays that are predicted
@@ -85,7 +94,7 @@ class EdgePairs(NamedTuple):
 
 
 @folded
-def corrected_edges(found: EdgePairs, correction_weight: float) -> Edges:
+def corrected_edges(found: EdgePairs) -> Edges:
     """Mean of both edges of a ray, each corrected by its predicted bias (formula 13).
 
     Errors of the prediction move the two differently: their mean is better than either, and half
@@ -93,7 +102,6 @@ def corrected_edges(found: EdgePairs, correction_weight: float) -> Edges:
 
     Args:
         found: from `find_edge_pairs`.
-        correction_weight: share subtracted of the difference of a ray's bias from the median.
 
     Returns:
         The edges; contrast in picture values from 0 to 1.
@@ -105,7 +113,7 @@ def corrected_edges(found: EdgePairs, correction_weight: float) -> Edges:
         for i in range(n):
             own = found.predicted[k, i // TOGETHER] - common
             sd = found.sd[k, i]
-            shifts[k, i] = found.at[k, i] - common - correction_weight * own
+            shifts[k, i] = found.at[k, i] - common - _CORRECTION_WEIGHT * own
             variances[k, i] = sd * sd + _CORRECTION_SD_SHARE * own * _CORRECTION_SD_SHARE * own
     return _joined(shifts, variances, found.contrast, found.inside, found.outside)
 
@@ -202,7 +210,7 @@ def _predicted_values(
         inputs.ambient,
         _FIRST - CHROMA_REACH,
     )
-    return read_off(encode(predicted, inputs.sensor.encoding), inputs.sensor.taps)
+    return read_off(encode(predicted, inputs.encoding))
 
 
 @compiled

@@ -17,11 +17,16 @@ from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.fitting.color import scan_color
 from measure_plugins._outline.fitting.covariance import center_covariance, piecewise_covariance
 from measure_plugins._outline.fitting.edges import SEARCH_PX
-from measure_plugins._outline.fitting.outline import (
+from measure_plugins._outline.fitting.robust_cone import MAX_RESIDUAL_PX
+from measure_plugins._outline.fitting.scan import (
     INLIER,
+    CameraImage,
+    EdgeScan,
     Fit,
     Outline,
+    OutlineSearch,
     agreeing_share,
+    ambient_light,
     axis_shift_px,
     corrected_axis,
     fit_scan,
@@ -29,13 +34,6 @@ from measure_plugins._outline.fitting.outline import (
     outline_of,
     reach_px,
     residuals,
-)
-from measure_plugins._outline.fitting.robust_cone import MAX_RESIDUAL_PX
-from measure_plugins._outline.fitting.scan import (
-    CameraImage,
-    EdgeScan,
-    OutlineSearch,
-    ambient_light,
     scan_half_level,
     scan_with_model,
 )

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from measure.arrays import Bools, Bytes, Floats, Ints, Singles
+from measure.arrays import Bools, Bytes, Floats, Ints, Reals, Singles
 from measure.compiling import compiled, inlined
 from measure.model.lens import (
     BLUE,
@@ -302,3 +302,53 @@ def _mark_outside(image: Bytes, rays: RaySet, steps: Floats) -> None:
             u, v = points[i, 0] + end * normals[i, 0], points[i, 1] + end * normals[i, 1]
             if not (u >= margin and v >= margin and u < right and v < down):
                 rays.status[i] = OUT_OF_IMAGE
+
+
+TOGETHER = 2
+"""Rays in a group; with three, which are further apart, predictions are worse."""
+
+
+@compiled
+def middle_angles(around: Floats) -> Floats:
+    """Cosine and sine (n / 2, 2) of the angles midway between the rays of each group (n, 2)."""
+    out = np.zeros((len(around) // TOGETHER, 2))
+    for i in range(len(out)):
+        x, y = 0.0, 0.0
+        for k in range(TOGETHER):
+            x += around[TOGETHER * i + k, 0]
+            y += around[TOGETHER * i + k, 1]
+        length = np.sqrt(x * x + y * y)
+        out[i, 0], out[i, 1] = x / length, y / length
+    return out
+
+
+@compiled
+def together(light: Reals, status: Statuses) -> tuple[Floats, Statuses]:
+    """Mean light of the clear rays of each group, and the status of the groups.
+
+    Args:
+        light: (3, m, n) along the rays.
+        status: (n,) see `RaySet`.
+
+    Returns:
+        Light (3, m, n / 2); and status (n / 2,): CLEAR where a ray is, else that of the first.
+    """
+    colors, m, n = light.shape
+    groups = n // TOGETHER
+    weights, grouped = np.zeros((TOGETHER, groups)), np.empty(groups, np.int8)
+    for i in range(groups):
+        count = 0
+        for k in range(TOGETHER):
+            count += int(status[TOGETHER * i + k] == CLEAR)
+        grouped[i] = CLEAR if count > 0 else status[TOGETHER * i]
+        for k in range(TOGETHER):
+            weights[k, i] = 1 / count if status[TOGETHER * i + k] == CLEAR else 0.0
+    out = np.empty((colors, m, groups))
+    for c in range(colors):
+        for j in range(m):
+            for i in range(groups):
+                total = 0.0
+                for k in range(TOGETHER):
+                    total += weights[k, i] * light[c, j, TOGETHER * i + k]
+                out[c, j, i] = total
+    return out, grouped

@@ -1,12 +1,12 @@
 """One estimate of a camera's tone curve, blur and lights, and of the surface of the balls.
 
-See docs/explanation/outline.md, formula 22.
+See docs/explanation/outline.md, formula 21.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,14 +26,8 @@ from measure_plugins._outline.self_calibration.response_and_blur import (
     refined_bends,
     residual_ratio,
     straight_appearance,
-    surface_bounds,
     unclipped_patches,
     useful_patches,
-)
-from measure_plugins._outline.self_calibration.trust import (
-    PredictionAgreement,
-    correction_weight_of,
-    prediction_agreement,
 )
 
 _TRY_BENT_BELOW = 0.9
@@ -59,7 +53,6 @@ class AppearanceEstimate:
     bends: Floats  # (3,) of the bent curve, accepted or not, see `bent_table`
     light: LightEquations  # equations of the point lights, by the straight curve
     light_if_bent: LightEquations | None  # the same by the bent one; None where that was not tried
-    agreement: PredictionAgreement  # of predicted and observed separations of edge pairs
 
     def light_by(self, bent: bool) -> LightEquations | None:
         """Equations of the point lights by the bent curve, or by the straight one."""
@@ -85,11 +78,10 @@ def estimate_appearance(
     if not useful:
         return None
     start, clear = as_stated(now), unclipped_patches(useful)
-    if_straight, if_bent = surface_bounds(useful, start.table)
-    without_lights = straight_appearance(clear, start, if_straight)
+    without_lights = straight_appearance(clear, start)
     light, light_if_bent = light_equations(clear, without_lights, world_from_camera), None
     straight = with_point_lights(clear, without_lights, light)
-    bent = bent_appearance(clear, without_lights, if_bent)
+    bent = bent_appearance(clear, without_lights)
     ratio = residual_ratio(bent, without_lights, clear)
     if assume_bent or ratio < _TRY_BENT_BELOW:
         light_if_bent = light_equations(clear, bent, world_from_camera)
@@ -99,11 +91,7 @@ def estimate_appearance(
         ratio = residual_ratio(bent, straight, clear)
     is_bent = ratio < (_BENT_BELOW_TOGETHER if assume_bent else _BENT_BELOW)
     chosen = choose_grazing_reflection(useful, bent if is_bent else straight)
-    agreement = prediction_agreement(useful, chosen)
-    appearance = replace(chosen, correction_weight=correction_weight_of([agreement]))
-    return AppearanceEstimate(
-        appearance, is_bent, ratio, bent.bends, light, light_if_bent, agreement
-    )
+    return AppearanceEstimate(chosen, is_bent, ratio, bent.bends, light, light_if_bent)
 
 
 _MIN_BEND_EVIDENCE = 0.11
@@ -114,7 +102,7 @@ a mild bend in a cluttered room, which stays unnoticed."""
 
 
 def has_common_response(estimates: Sequence[AppearanceEstimate]) -> bool:
-    """Whether the cameras have a common response curve other than the standard's (formula 22).
+    """Whether the cameras have a common response curve other than the standard's (formula 21).
 
     That is tested where every camera's curve is nearer to their median than that is to the
     standard's.

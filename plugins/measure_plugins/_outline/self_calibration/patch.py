@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from measure.arrays import Bytes, Floats
 from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.appearance.point_lights import lights_about, shade_by_lights
-from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.render import Ambient
 from measure_plugins._outline.fitting.edges import PredictionInputs
-from measure_plugins._outline.sampling.ray_groups import TOGETHER, middle_angles
 from measure_plugins._outline.sampling.rays import RaySet
 
 
@@ -33,29 +29,12 @@ class BallPatch:
         return self.rays._replace(status=self.rays.status.copy())
 
 
-def prediction_inputs(
-    patch: BallPatch, appearance: Appearance, in_groups: bool = False
-) -> PredictionInputs:
-    """Inputs of a prediction by an appearance, its ambient light on rays or on groups of them."""
+def prediction_inputs(patch: BallPatch, appearance: Appearance) -> PredictionInputs:
+    """Inputs of a prediction by an appearance along all rays."""
     tables = appearance.tables(patch.half_angle * patch.scale, patch.half_angle)
-    return PredictionInputs(
-        patch.pixels,
-        appearance.table,
-        appearance.sensor,
-        patch.own_rays(),
-        tables,
-        _ambient(patch, appearance, tables, in_groups),
-    )
-
-
-def _ambient(
-    patch: BallPatch, appearance: Appearance, tables: RadialTables, in_groups: bool
-) -> Ambient:
-    """The light on a ball, on its rays or between them."""
-    around, behind = patch.rays.around, patch.behind
-    if in_groups:
-        around, behind = middle_angles(around), np.ascontiguousarray(behind[:, ::TOGETHER])
     point_lights = lights_about(appearance.point_lights, patch.frame, patch.distance)
-    return Ambient(
-        shade_by_lights(tables.diffuse, tables.fresnel_loss[0], around, point_lights), behind
+    lit = shade_by_lights(tables.diffuse, tables.fresnel_loss[0], patch.rays.around, point_lights)
+    ambient = Ambient(lit, patch.behind)
+    return PredictionInputs(
+        patch.pixels, appearance.table, appearance.encoding, patch.own_rays(), tables, ambient
     )

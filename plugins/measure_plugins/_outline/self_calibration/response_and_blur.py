@@ -12,31 +12,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
+from measure.compiling import compiled
 from measure_plugins._outline.appearance.model import BENDS, GLOSSY, MATT, Appearance
 from measure_plugins._outline.appearance.point_lights import no_point_lights
-from measure_plugins._outline.appearance.sensor import CHROMA_PX
 from measure_plugins._outline.fitting.edges import LATER_STEPS, compare
 from measure_plugins._outline.sampling.edge_crossing import clipped
-from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED
-from measure_plugins._outline.self_calibration.alignment import aligned_residuals
+from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED, Statuses
 from measure_plugins._outline.self_calibration.patch import BallPatch, prediction_inputs
-from measure_plugins._outline.self_calibration.specularity import highlights
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Number of steps compared: both sides of the edge."""
 _COMPARED_STEPS = LATER_STEPS[:_COMPARED]
 _STEP = float(LATER_STEPS[1] - LATER_STEPS[0])
-_STRAIGHT = np.array([1e-6, 1e-6, 1e-6, 0.15, 0.3])
-_BENT = np.array([0.03, 0.1, 0.05, 0.15, 0.3])
-"""Prior sd of a camera's curve (lift, bow, S) and of its blurs (logarithms): straight or bent."""
+_STRAIGHT = np.array([1e-6, 1e-6, 1e-6, 0.15])
+_BENT = np.array([0.03, 0.1, 0.05, 0.15])
+"""Prior sd of a camera's curve (lift, bow, S) and of its blur (logarithm): straight or bent."""
 BENDS_SD = _BENT[:BENDS]
 _PRIOR_WEIGHT = 0.02
 """Weight of the prior: relative decrease of the mean square residual that one such sd is worth."""
-_TRIAL = np.array([0.004, 0.01, 0.006, 0.1, 0.1])
+_TRIAL = np.array([0.004, 0.01, 0.006, 0.1])
 """Steps of the numeric derivatives; that of blur exceeds the steps of its tables."""
 _BLUR_RANGE_PX = (0.5, 2.0)
-_CHROMA_RANGE_PX = (0.3, 2.0)
 _ITERATIONS = 4
 _MIN_COST_DROP = 5e-3
 _WORSE_WITH_GRAZING = 0.02
@@ -44,20 +41,11 @@ _WORSE_WITH_GRAZING = 0.02
 left out."""
 _MIN_RAYS = 16
 _MIN_PATCHES = 4
-_GLOSSY_ABOVE = 0.37
-"""Strength of highlights above which balls are glossy. On thirty scenes it is at most 0.22 with
-matt balls, and at least 0.62 with glossy ones under lamps; satin balls and lights as large as
-windows lie between."""
 _GLOSSY_BELOW = 0.5
-_MATT_ABOVE = 0.88
-_MATT_ABOVE_BENT = 0.82
+_MATT_ABOVE, _MATT_ABOVE_BENT = 0.88, 0.82
 """Residuals of the glossy model per those of the matt one: below the first, matt paint is not
-refined; above, it is chosen for balls without highlights, of which glossy ones have at most 0.33
-and matt ones at least 0.76. Where highlights cannot be measured, on white balls, it is chosen above
-the second (the third for bent curves), because the glossy model has free reflections besides and
-fits matt paint nearly as well."""
-
-Bounds = tuple[float, float]
+refined; above the second (the third for bent curves) it is chosen, because the glossy model has
+free reflections besides and fits matt paint nearly as well."""
 
 
 def as_stated(now: Appearance) -> Appearance:
@@ -65,20 +53,16 @@ def as_stated(now: Appearance) -> Appearance:
     return replace(now, bends=np.zeros(BENDS), mirrors=True, point_lights=no_point_lights())
 
 
-def straight_appearance(
-    patches: Sequence[BallPatch], start: Appearance, bounds: Bounds
-) -> Appearance:
+def straight_appearance(patches: Sequence[BallPatch], start: Appearance) -> Appearance:
     """Blur and surface that fit the patches best, with the tone curve that `start` names."""
-    return _of_either_surface(patches, start, start, _STRAIGHT, bounds)
+    return _of_either_surface(patches, start, start, _STRAIGHT, (_GLOSSY_BELOW, _MATT_ABOVE))
 
 
-def bent_appearance(
-    patches: Sequence[BallPatch], straight: Appearance, bounds: Bounds
-) -> Appearance:
+def bent_appearance(patches: Sequence[BallPatch], straight: Appearance) -> Appearance:
     """Tone curve too; `straight` is the appearance without point lights."""
     bent = refined_bends(patches, straight)
     glossy, matt = (bent, straight) if straight.index == GLOSSY else (straight, bent)
-    return _of_either_surface(patches, glossy, matt, _BENT, bounds)
+    return _of_either_surface(patches, glossy, matt, _BENT, (0.0, _MATT_ABOVE_BENT))
 
 
 def refined_bends(patches: Sequence[BallPatch], start: Appearance) -> Appearance:
@@ -94,15 +78,6 @@ def residual_ratio(one: Appearance, other: Appearance, patches: Sequence[BallPat
 def unclipped_patches(patches: Sequence[BallPatch]) -> list[BallPatch]:
     """The patches without rays that meet saturated pixels, if enough are left; else all."""
     return useful_patches([_without_clipped(s) for s in patches]) or list(patches)
-
-
-def surface_bounds(patches: Sequence[BallPatch], table: Floats) -> tuple[Bounds, Bounds]:
-    """Bounds between glossy and matt balls by highlights, for straight and for bent curves."""
-    seen = highlights([(s.pixels, s.rays.points, s.rays.status == CLEAR) for s in patches], table)
-    if np.isnan(seen):
-        return (_GLOSSY_BELOW, _MATT_ABOVE), (0.0, _MATT_ABOVE_BENT)
-    least = np.inf if seen > _GLOSSY_ABOVE else _GLOSSY_BELOW
-    return (least, least), (least, least)
 
 
 def choose_grazing_reflection(patches: Sequence[BallPatch], appearance: Appearance) -> Appearance:
@@ -143,7 +118,7 @@ def _of_either_surface(
     glossy: Appearance,
     matt: Appearance,
     prior_sd: Floats,
-    bounds: Bounds,
+    bounds: tuple[float, float],
 ) -> Appearance:
     """Refine an appearance of glossy and one of matt balls, and choose between them.
 
@@ -205,7 +180,7 @@ class _Step:
         self.cost = float(np.mean(power / self.scales) + _PRIOR_WEIGHT * away @ away)
 
     def solve(self) -> Floats:
-        """The Gauss-Newton step (5,)."""
+        """The Gauss-Newton step (4,)."""
         trials = [_moved(self.at, _TRIAL * unit) for unit in np.eye(len(_TRIAL))]
         normal = _PRIOR_WEIGHT * np.diag(1 / self.prior_sd**2)
         right = -normal @ _state(self.at)
@@ -225,18 +200,13 @@ class _Step:
 
 
 def _state(at: Appearance) -> Floats:
-    return np.append(at.bends, np.log([at.blur_px, at.chroma_px / CHROMA_PX]))
+    return np.append(at.bends, np.log(at.blur_px))
 
 
 def _moved(at: Appearance, change: Floats) -> Appearance:
     bends = at.bends + np.clip(change[:BENDS], -0.1, 0.1)
-    blur, chroma = np.array([at.blur_px, at.chroma_px]) * np.exp(np.clip(change[BENDS:], -0.5, 0.5))
-    return replace(
-        at,
-        bends=bends,
-        blur_px=float(np.clip(blur, *_BLUR_RANGE_PX)),
-        chroma_px=float(np.clip(chroma, *_CHROMA_RANGE_PX)),
-    )
+    blur = at.blur_px * np.exp(np.clip(change[BENDS], -0.5, 0.5))
+    return replace(at, bends=bends, blur_px=float(np.clip(blur, *_BLUR_RANGE_PX)))
 
 
 def _residuals(
@@ -246,3 +216,111 @@ def _residuals(
     seen, predicted = compare(prediction_inputs(patch, appearance))
     known, rays = np.empty(0) if weights is None else weights, patch.rays
     return aligned_residuals(seen, predicted, rays.status, rays.around, _COMPARED, _STEP, known)
+
+
+_ALIGNMENTS = 3
+_TYPICAL = 3.0
+"""Mean square of a ray's residuals, per median of all rays, at which its weight falls to a
+quarter."""
+
+
+@compiled
+def aligned_residuals(
+    seen: Floats,
+    predicted: Floats,
+    status: Statuses,
+    around: Floats,
+    compared: int,
+    step_px: float,
+    weights: Floats,
+) -> tuple[Floats, Floats]:
+    """Picture minus prediction, after the best shift and growth of the outline.
+
+    Args:
+        seen: (3, m, n) picture values along n rays.
+        predicted: (3, m, n) the same as predicted.
+        status: (n,) see `RaySet`; the k clear rays are compared.
+        around: (n, 2) cosine and sine around the axis.
+        compared: how many of the m samples count, from the inside.
+        weights: (k,) of the rays; if empty, robust ones are computed.
+
+    Returns:
+        Residuals (k, 3 compared), and the weights (k,).
+    """
+    rays = np.flatnonzero(status == CLEAR)
+    left, slopes = _off(seen, predicted, rays, compared, step_px)
+    sums, where, moved = _sums(left, slopes), around[rays], np.empty(left.shape)
+    if len(weights) > 0:
+        _move(left, slopes, _shifts(sums, where, weights), moved)
+        return moved, weights
+    robust, power = np.ones(len(rays)), np.empty(len(rays))
+    for _ in range(_ALIGNMENTS):
+        _move(left, slopes, _shifts(sums, where, robust), moved)
+        for i in range(len(rays)):
+            total = 0.0
+            for j in range(left.shape[1]):
+                total += moved[i, j] * moved[i, j]
+            power[i] = total / left.shape[1]
+        typical = _TYPICAL * np.median(power) + 1e-9
+        robust = 1 / (1 + power / typical) ** 2
+    return moved, robust
+
+
+@compiled
+def _off(
+    seen: Floats, predicted: Floats, rays: Ints, compared: int, step_px: float
+) -> tuple[Floats, Floats]:
+    """Seen minus predicted, and its derivative by an outward shift, both ray by ray."""
+    m = predicted.shape[1]
+    left, slopes = np.empty((len(rays), 3 * compared)), np.empty((len(rays), 3 * compared))
+    for k, i in enumerate(rays):
+        for c in range(3):
+            for j in range(compared):
+                low, high = max(j - 1, 0), min(j + 1, m - 1)
+                rise = predicted[c, high, i] - predicted[c, low, i]
+                left[k, c * compared + j] = seen[c, j, i] - predicted[c, j, i]
+                slopes[k, c * compared + j] = -rise / ((high - low) * step_px)
+    return left, slopes
+
+
+@compiled
+def _sums(left: Floats, slopes: Floats) -> Floats:
+    """Sums (2, k) along each ray of squared slopes, and of slopes times residuals."""
+    out = np.zeros((2, len(left)))
+    for i in range(len(left)):
+        for j in range(left.shape[1]):
+            out[0, i] += slopes[i, j] * slopes[i, j]
+            out[1, i] += slopes[i, j] * left[i, j]
+    return out
+
+
+@compiled
+def _shifts(sums: Floats, around: Floats, weights: Floats) -> Floats:
+    """Displacement (k,) of the outline in px along each ray, by its best shift and growth.
+
+    Args:
+        sums: (2, k) see `_sums`.
+        around: (k, 2) cosine and sine around the axis.
+        weights: (k,) of the rays.
+    """
+    normal, right, design = 1e-9 * np.eye(3), np.zeros(3), np.ones(3)
+    for i in range(len(around)):
+        design[0], design[1] = around[i, 0], around[i, 1]
+        square, toward = weights[i] * sums[0, i], weights[i] * sums[1, i]
+        for a in range(3):
+            right[a] += design[a] * toward
+            for b in range(3):
+                normal[a, b] += design[a] * design[b] * square
+    x, y, growth = np.linalg.solve(normal, right)
+    out = np.empty(len(around))
+    for i in range(len(around)):
+        out[i] = x * around[i, 0] + y * around[i, 1] + growth
+    return out
+
+
+@compiled
+def _move(left: Floats, slopes: Floats, shifts: Floats, out: Floats) -> None:
+    """Fill the residuals (k, m) that are left when the outline moves by shifts (k,)."""
+    for i in range(len(left)):
+        for j in range(left.shape[1]):
+            out[i, j] = left[i, j] - slopes[i, j] * shifts[i]

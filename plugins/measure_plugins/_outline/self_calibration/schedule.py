@@ -29,11 +29,6 @@ from measure_plugins._outline.self_calibration.point_lights import (
     solve_point_lights,
 )
 from measure_plugins._outline.self_calibration.response_and_blur import misfits
-from measure_plugins._outline.self_calibration.trust import (
-    PredictionAgreement,
-    correction_weight_of,
-    prediction_agreement,
-)
 
 _FIRST_ESTIMATE = 2  # Number of the picture of the first estimate; the one before is only kept
 _INTERVAL_FACTOR = 4
@@ -62,7 +57,6 @@ class SelfCalibration:
         self._estimate: AppearanceEstimate | None = None
         self._assume_bent = False
         self._lights_of_others: list[LightEquations] = []
-        self._agreements_of_others: list[PredictionAgreement] = []
 
     @property
     def settled(self) -> bool:
@@ -88,7 +82,6 @@ class SelfCalibration:
         others = [one for one in estimates if one is not self._estimate]
         lights = [one.light_by(bent or one.bent) for one in others]
         self._lights_of_others = [light for light in lights if light is not None]
-        self._agreements_of_others = [one.agreement for one in others]
         self._assume_bent |= bent
         if bent and not self._estimate.bent:
             return self._estimation(now)()
@@ -133,18 +126,16 @@ class SelfCalibration:
         return run
 
     def _fused(self, estimate: AppearanceEstimate) -> Appearance:
-        """An estimate, with point lights and correction weight by the other cameras too."""
+        """An estimate, with point lights by the other cameras too."""
         own, now = estimate.light_by(estimate.bent), estimate.appearance
         if own is not None and self._lights_of_others and len(now.point_lights) > 0:
             now = replace(now, point_lights=solve_point_lights([own, *self._lights_of_others]))
-        weight = correction_weight_of([estimate.agreement, *self._agreements_of_others])
-        return now if weight == now.correction_weight else replace(now, correction_weight=weight)
+        return now
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
         """Compile what an estimation runs."""
         patches = [self._patch(pixels, cone, [])]
         misfits(patches, now)
-        prediction_agreement(patches, now)
         solve_point_lights([light_equations(patches, now, self._world_from_camera)])
 
     def _patch(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> BallPatch:
