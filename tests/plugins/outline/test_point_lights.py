@@ -7,14 +7,13 @@ import pytest
 
 from measure_plugins._outline.appearance.model import MATT
 from measure_plugins._outline.appearance.point_lights import (
-    fit_light_shading,
     lights_about,
     no_point_lights,
     shade_by_lights,
-    shaded_body,
 )
 from measure_plugins._outline.appearance.radial_basis import fresnel, radial_tables
 from measure_plugins._outline.appearance.render import Ambient
+from measure_plugins._outline.appearance.shading import fit_shading, shaded, shading_functions
 from measure_plugins._outline.fitting.edges import (
     PredictionInputs,
     corrected_edges,
@@ -89,12 +88,13 @@ def test_a_near_light_has_another_direction_for_each_ball():
 def test_shading_is_fitted_robustly():
     lit = shade_by_lights(TABLES.diffuse, KEPT_OUT, AROUND, _lamp([0.3, -0.9, -0.2]))
     true = np.array([0.1, 0.02, -0.03, 0.05, 0.7])
-    amounts = shaded_body(true, AROUND, TABLES.diffuse, lit, 0)
+    functions = shading_functions(AROUND, TABLES.diffuse, lit)
+    amounts = shaded(true, functions)
     rng, status = np.random.default_rng(1), np.zeros(72, np.int8)
     amounts[rng.random(amounts.shape) < 0.15] += 0.5  # a highlight, say
     status[10:20] = OCCLUDED
     amounts[:, 10:20] = 5.0
-    found = fit_light_shading(amounts, status, AROUND, TABLES.diffuse, lit, USED)
+    found = fit_shading(amounts, status, functions, USED)
     assert found == pytest.approx(true, abs=0.01)
 
 

@@ -1,4 +1,4 @@
-"""Light along rays: interpolated, or that of the nearest pixel."""
+"""Light along rays, interpolated between pixels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from measure_plugins._outline.sampling.rays import (
     RaySet,
     frame_about,
     sample,
-    sample_nearest,
 )
 
 HEIGHT, WIDTH = 30, 40
@@ -38,45 +37,14 @@ def rays_at(points, normals, status=None, color_shifts=None):
     return RaySet(points, normals, normals, known, shifts)
 
 
-def both(picture, points, normals, steps=STEPS, status=None):
-    one, other = (rays_at(points, normals, status) for _ in range(2))
-    light, _ = sample(picture, TABLE, one, steps, _all(steps), len(steps))
-    nearest = sample_nearest(picture, TABLE, other, steps)
-    np.testing.assert_array_equal(one.status, other.status)
-    return light, nearest, one.status
-
-
-def test_on_pixels_the_two_are_the_same(picture):
-    points = [(x, y) for x in (5, 20, 33) for y in (4, 17, 25)]
-    light, nearest, _ = both(picture, points, ACROSS)
-    np.testing.assert_allclose(nearest, light, atol=1e-12)
-    np.testing.assert_allclose(nearest[:, 0, 0], TABLE[picture[4, 3]])
-
-
-@pytest.mark.parametrize("off", [(0.4, 0.0), (-0.4, 0.3), (0.49, -0.49), (0.0, 0.45)])
-def test_between_pixels_the_nearest_counts(picture, off):
-    points = np.array([(12.0, 9.0), (30.0, 21.0)])
-    _, nearest, _ = both(picture, points + off, ACROSS)
-    _, there, _ = both(picture, points, ACROSS)
-    np.testing.assert_array_equal(nearest, there)
-
-
 def test_rays_that_leave_the_picture_are_marked_and_hidden_ones_left_alone(picture):
     points = [(20.0, 15.0), (1.0, 15.0), (20.0, 15.0), (WIDTH - 2.5, 15.0)]
     known = [CLEAR, CLEAR, OCCLUDED, CLEAR]
-    _, nearest, status = both(picture, points, ACROSS, status=known)
-    assert status.tolist() == [CLEAR, OUT_OF_IMAGE, OCCLUDED, OUT_OF_IMAGE]
-    assert np.all(nearest[:, :, 0] == TABLE[picture[15, 18:23].T])
-    assert not np.any(nearest[:, :, 1:])
-
-
-def test_along_a_ramp_the_nearest_is_never_half_a_pixel_off():
-    ramp = np.repeat(np.arange(0, 4 * WIDTH, 4, dtype=np.uint8)[None], HEIGHT, axis=0)
-    picture = np.ascontiguousarray(np.repeat(ramp[:, :, None], 3, axis=2))
-    rng = np.random.default_rng(2)
-    points = rng.uniform([5, 5], [WIDTH - 6, HEIGHT - 6], (50, 2))
-    light, nearest, _ = both(picture, points, ACROSS)
-    assert np.max(np.abs(light - nearest)) <= (2 + 1e-9) / 255
+    rays = rays_at(points, ACROSS, known)
+    light, _ = sample(picture, TABLE, rays, STEPS, _all(STEPS), len(STEPS))
+    assert rays.status.tolist() == [CLEAR, OUT_OF_IMAGE, OCCLUDED, OUT_OF_IMAGE]
+    np.testing.assert_allclose(light[:, :, 0], TABLE[picture[15, 18:23].T], atol=1e-6)
+    assert not np.any(light[:, :, 1:])
 
 
 def test_values_are_interpolated_between_pixels() -> None:

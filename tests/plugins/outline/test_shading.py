@@ -6,26 +6,22 @@ import numpy as np
 
 from measure_plugins._outline.appearance.dichromatic import reflected_light
 from measure_plugins._outline.appearance.radial_basis import packed_radials, radial_tables, unpacked
-from measure_plugins._outline.appearance.spherical_harmonics import (
-    angular_terms,
-    fit_shading,
-    shaded,
-)
+from measure_plugins._outline.appearance.shading import fit_shading, shaded, shading_functions
 from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED, STEPS
 
 LOBES = radial_tables(60.0, 0.045, 1.0, 1.5).diffuse
 COEFFICIENTS = np.array([0.1, 0.4, 0.02, 0.1, 0.05, -0.08, 0.04, 0.03, -0.02])
 AROUND = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 72, endpoint=False)])
-ANGULAR = angular_terms(AROUND)
+FUNCTIONS = shading_functions(AROUND, LOBES, np.empty((0, 72)))
 ALL_CLEAR = np.full(72, CLEAR, np.int8)
-SHOWN = shaded(COEFFICIENTS, ANGULAR, LOBES)
+SHOWN = shaded(COEFFICIENTS, FUNCTIONS)
 FIRST, LAST = (int(k) for k in np.searchsorted(STEPS, (-15.0, 1.0)))
 
 
 def _misfit(amounts: np.ndarray, status: np.ndarray) -> float:
     """Largest difference, inside, between the fitted and the true shading of all rays."""
-    fitted = fit_shading(amounts, status, ANGULAR, LOBES, LAST)
-    return float(np.abs(shaded(fitted, ANGULAR, LOBES) - SHOWN)[FIRST:LAST].max())
+    fitted = fit_shading(amounts, status, FUNCTIONS, LAST)
+    return float(np.abs(shaded(fitted, FUNCTIONS) - SHOWN)[FIRST:LAST].max())
 
 
 def test_shading_is_recovered() -> None:
@@ -37,7 +33,7 @@ def test_shading_shows_its_terms() -> None:
     """A cosine around the axis goes with the fourth function of the radius."""
     one = np.zeros(9)
     one[3] = 2.0
-    assert np.allclose(shaded(one, ANGULAR, LOBES), 2 * LOBES[:, 3:4] * AROUND[:, 0])
+    assert np.allclose(shaded(one, FUNCTIONS), 2 * LOBES[:, 3:4] * AROUND[:, 0])
 
 
 def test_the_fit_is_that_of_least_squares_where_nothing_is_off() -> None:
@@ -45,16 +41,16 @@ def test_the_fit_is_that_of_least_squares_where_nothing_is_off() -> None:
     rng = np.random.default_rng(2)
     for rays in (24, 25, 66):
         angles = np.sort(rng.uniform(0, 2 * np.pi, rays))
-        angular = angular_terms(np.stack([np.cos(angles), np.sin(angles)], axis=1))
-        seen = shaded(COEFFICIENTS, angular, LOBES) + rng.uniform(-1e-6, 1e-6, (len(LOBES), rays))
-        lobes = LOBES[:LAST:2][:, [0, 1, 2, 3, 3, 4, 4, 5, 5]]
-        terms = (lobes[:, :, None] * angular[None]).transpose(1, 0, 2).reshape(9, -1)
+        around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        functions = shading_functions(around, LOBES, np.empty((0, rays)))
+        seen = shaded(COEFFICIENTS, functions) + rng.uniform(-1e-6, 1e-6, (len(LOBES), rays))
+        terms = functions[:, :LAST:2].reshape(9, -1)
         normal = terms @ terms.T + 1e-3 * np.eye(9)
         wanted = np.linalg.solve(normal, terms @ seen[:LAST:2].ravel())
         status = np.full(rays, CLEAR, np.int8)
-        fitted = fit_shading(seen, status, angular, LOBES, LAST)
+        fitted = fit_shading(seen, status, functions, LAST)
         assert np.allclose(fitted, wanted, rtol=0, atol=2e-3)
-        assert np.abs(shaded(fitted - wanted, angular, LOBES)[:LAST]).max() < 1e-4
+        assert np.abs(shaded(fitted - wanted, functions)[:LAST]).max() < 1e-4
 
 
 def test_a_highlight_is_ignored() -> None:

@@ -1,7 +1,7 @@
 """The dichromatic reflection model (Shafer 1985): a ball's light is body plus surface reflection.
 
 Each pixel inside is split into an amount of the body colour and an amount of grey, the reflected
-light. The former is fitted along the whole outline (`point_lights`, `spherical_harmonics`), the
+light. The former is fitted along the whole outline (`shading`), the
 latter ray by ray. Profiles are (3, m, n): colours, steps along the rays, rays.
 See docs/explanation/outline.md, formulas 3 and 8.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
@@ -75,12 +75,6 @@ def split(
         q = (blue[i] + green[i] + red[i]) * GREY
         amount[i] = per * p - mixed * q
         grey[i] = greyness * (per * q - mixed * p)
-
-
-@compiled
-def every_second(values: Floats, used: int, rays: Ints) -> Floats:
-    """Every second of the first `used` rows of (m, n), on the rays (k,): (p, k)."""
-    return values[:used:2][:, rays]
 
 
 @compiled

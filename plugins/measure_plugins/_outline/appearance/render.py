@@ -15,13 +15,8 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._outline.appearance.dichromatic import GREY, body_color, reflected_light, split
 from measure_plugins._outline.appearance.interreflection import add_ball_reflection
-from measure_plugins._outline.appearance.point_lights import fit_light_shading, shaded_body
 from measure_plugins._outline.appearance.radial_basis import RadialTables
-from measure_plugins._outline.appearance.spherical_harmonics import (
-    angular_terms,
-    fit_shading,
-    shaded,
-)
+from measure_plugins._outline.appearance.shading import fit_shading, shaded, shading_functions
 from measure_plugins._outline.sampling.rays import Statuses
 
 FIT_LAST_PX = 1.0
@@ -63,15 +58,9 @@ def predict_light(
         first: the step at which the prediction begins.
     """
     used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
-    lighted = ambient.light_shading
     own, amounts, grey, behind_grey = split_light(profiles, status, background, steps, tables, used)
-    if lighted.size > 0:
-        fitted = fit_light_shading(amounts, status, around, tables.diffuse, lighted, used)
-        body = shaded_body(fitted, around, tables.diffuse, lighted, first)
-    else:
-        angular = angular_terms(around)
-        fitted = fit_shading(amounts, status, angular, tables.diffuse, used)
-        body = shaded(fitted, angular, tables.diffuse[first:])
+    functions = shading_functions(around, tables.diffuse, ambient.light_shading)
+    body = shaded(fit_shading(amounts, status, functions, used), functions[:, first:])
     reflected = reflected_light(grey, status, tables.reflection_solver)
     for k in range(len(reflected)):
         for i in range(len(status)):

@@ -22,17 +22,14 @@ from measure.compiling import compiled
 from measure.geometry.covariance import MAD_TO_SD
 from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.appearance.point_lights import (
-    AXIAL,
-    RADIAL,
     REFERENCE_MM,
-    UNIFORM,
     lights_about,
     no_point_lights,
     shade_by_lights,
-    some_clear,
 )
 from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.render import split_light
+from measure_plugins._outline.appearance.shading import AXIAL, RADIAL, UNIFORM, some_clear
 from measure_plugins._outline.fitting.edges import sampled_light
 from measure_plugins._outline.sampling.rays import STEPS, RaySet
 from measure_plugins._outline.self_calibration.patch import BallPatch
