@@ -1,9 +1,9 @@
-"""Elimination of the random effects from the normal equations, by Schur complements, compiled.
+"""Random effects: eliminated from the normal equations by Schur complements; their variances.
 
 A ball-view is one ball in one camera. Its whole outline may be shifted by (bx, by) in the picture
 and be larger by br: its random effects, px. The shift that all outlines of a view have in common,
 as an error of the camera's pose makes it, is the view's shift. See docs/explanation/joint_fit.md,
-formulas 5 to 12.
+formulas 5 to 14.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ The model of their residuals is formula 5 of docs/explanation/joint_fit.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -14,7 +13,6 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
-from measure.model import Camera
 from measure.model.lens import RAY, fill_rays
 
 _MIN_POINTS = 3  # Outline points that determine a cone
@@ -44,38 +42,18 @@ class PackedOutlines(NamedTuple):
 
 
 class BallRows(NamedTuple):
-    """The balls of k ball-views, see `PackedOutlines`."""
+    """The balls of k ball-views, and the c cameras that show them; see `PackedOutlines`."""
 
     view_of: Ints
     centers_body: Floats
     radii: Floats
-
-
-class ViewRows(NamedTuple):
-    """Lens rows (c, 16) of cameras, rotations (c, 3, 3) and translations (c, 3) into them."""
-
-    lenses: Floats
+    lenses: Floats  # (c, 16) see `Intrinsics.row`
     rotations: Floats
     translations: Floats
 
 
-@lru_cache(maxsize=64)
-def view_rows(cameras: tuple[Camera, ...]) -> ViewRows:
-    """Cameras compare by identity: what is kept never stands for a camera that was changed."""
-    inward = [camera.camera_from_world for camera in cameras]
-    return ViewRows(
-        np.stack([camera.intrinsics.row for camera in cameras]),
-        np.array([into.rotation for into in inward], order="C"),
-        np.stack([into.translation for into in inward]),
-    )
-
-
 def pack(
-    points: Sequence[Floats],
-    sd: Sequence[Floats],
-    covariances: Floats,
-    balls: BallRows,
-    views: ViewRows,
+    points: Sequence[Floats], sd: Sequence[Floats], covariances: Floats, balls: BallRows
 ) -> tuple[PackedOutlines, list[int]]:
     """Pack ball-views of a body at rest.
 
@@ -91,7 +69,7 @@ def pack(
     """
     start = np.array([0, *accumulate(map(len, sd))])
     at, sharpness = np.concatenate(points), 1 / np.concatenate(sd)
-    rays, reached, relative = outline_rays(at, start, covariances, balls.view_of, views.lenses)
+    rays, reached, relative = outline_rays(at, start, covariances, balls.view_of, balls.lenses)
     counts, kept = reached.tolist(), list(range(len(sd)))
     if sum(counts) < len(at):
         good = np.isfinite(rays[0])
@@ -107,8 +85,8 @@ def pack(
         balls.radii,
         np.zeros((len(sd), 6)),
         relative,
-        views.rotations,
-        views.translations,
+        balls.rotations,
+        balls.translations,
     )
     return outlines, kept
 

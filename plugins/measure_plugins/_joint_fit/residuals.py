@@ -1,11 +1,11 @@
 """Residuals and derivatives of outline points, summed over one ball in one camera, compiled.
 
-The residual of an outline point with bearing v, about a ball seen axial the unit vector u with the
-half angle a, is r = g (acos(v.u) - a), in px: g is the picture's scale axial the outline's normal.
+The residual of an outline point with bearing v, about a ball seen along the unit vector u with the
+half angle a, is r = g (acos(v.u) - a), in px: g is the picture's scale along the outline's normal.
 A step dc of the ball's centre, at the distance D, changes it by -(g / D)(e - tan(a) u).dc, where e
 is the unit vector perpendicular to u towards v.
 
-No pixel changes when its bearing only grows. With J, the pixel's derivatives by v, a step axial e
+No pixel changes when its bearing only grows. With J, the pixel's derivatives by v, a step along e
 therefore moves it by -J u / s, where s = |v x u|: that is the normal, and g = |J u| / s.
 
 The weighted sums of products of those derivatives, the moments, are all that the fit needs of the
@@ -24,7 +24,7 @@ from measure.geometry.rotation_kernels import turned
 from measure_plugins._joint_fit.problem import PackedOutlines
 
 COLUMNS = 10
-"""The pose's six, the view's offset, the outline's normal axial x and y, and the residual."""
+"""The pose's six, the view's offset, the outline's normal along x and y, and the residual."""
 _LOCAL = 7  # The same with the ball's centre (in the camera frame) for the pose
 
 
@@ -39,9 +39,6 @@ def accumulate_moments(
 ) -> None:
     """Fill the moments of all ball-views.
 
-    The loops are short, write one or two rows each and count unsigned: those the compiler turns
-    into vector instructions.
-
     Args:
         outlines: k ball-views in c views.
         rotation: (3, 3) of world_from_body.
@@ -50,16 +47,16 @@ def accumulate_moments(
         effects: (k, 3) random effects of the ball-views, for the robust weights, px.
         moments: (k, 10, 10) filled.
     """
-    count, arms, sums = len(outlines.view_of), np.empty((3, 6)), np.empty((_LOCAL, _LOCAL))
-    body_arms, centers = np.empty((count, 3)), np.empty((count, 3))
-    for k in range(count):
-        _place(outlines, k, rotation, translation, body_arms[k], centers[k])
-    columns = _columns(outlines, centers, offsets)
-    buffer = np.empty(2 * columns.size)
-    for k in range(count):
-        weights = _weights(columns, outlines, k, effects[k])
-        _fill_sums(columns, weights, outlines.start[k], buffer, sums)
-        _fill_arms(outlines.rotations[outlines.view_of[k]], body_arms[k], arms)
+    arms, arm, center = np.empty((3, 6)), np.empty(3), np.empty(3)
+    for k in range(len(outlines.view_of)):
+        view, first, last = outlines.view_of[k], outlines.start[k], outlines.start[k + 1]
+        _place(outlines, k, rotation, translation, arm, center)
+        columns = np.empty((_LOCAL, last - first))
+        for i in range(last - first):
+            _fill_column(outlines, k, i, center, offsets[view], columns)
+        weights = _weights(columns, outlines.sharpness[first:last], effects[k])
+        sums = np.dot(columns * weights, columns.T)
+        _fill_arms(outlines.rotations[view], arm, arms)
         _by_pose(sums, arms, moments[k])
 
 
@@ -86,132 +83,45 @@ def _place(
 
 
 @inlined
-def _columns(outlines: PackedOutlines, centers: Floats, offsets: Floats) -> Floats:
-    """Derivatives of n points' residuals, and the residuals, (7, n).
+def _fill_column(
+    outlines: PackedOutlines, k: int, i: int, center: Floats, offset: float, out: Floats
+) -> None:
+    """Fill the derivatives of the residual of ball-view k's point i, and the residual.
 
     Rows: derivatives by the centre's x, y, z (camera frame, px/mm) and by the offset (1), the
-    outline's unit normals in the picture, and the residuals in px, outward.
+    outline's unit normal in the picture, and the residual in px, outward.
     """
-    n = len(outlines.sharpness)
-    out, axial, radial = np.empty((_LOCAL, n)), np.empty(n), np.empty(n)
-    scale, slope = np.empty(n), np.empty(n)
-    for k in range(len(centers)):
-        _fill_axial(outlines, k, centers[k], axial, out)
-    for i in range(n):
-        radial[i] = np.sqrt((1 - axial[i]) * (1 + axial[i]))
-        slope[i] = 1 / (radial[i] * np.sqrt(out[4, i] * out[4, i] + out[5, i] * out[5, i]))
-    for i in range(n):
-        scale[i] = slope[i] * (out[4, i] * out[4, i] + out[5, i] * out[5, i])
-    for i in range(n):
-        out[4, i] *= radial[i] * slope[i]
-        out[5, i] *= radial[i] * slope[i]
-    for i in range(n):
-        slope[i] *= scale[i] * scale[i] * radial[i]
-    for k in range(len(centers)):
-        offset = offsets[outlines.view_of[k]]
-        _fill_residuals(outlines, k, centers[k], offset, axial, radial, scale, slope, out)
-    out[3] = 1.0
-    return out
-
-
-@inlined
-def _points(outlines: PackedOutlines, k: int) -> tuple[np.uint64, np.uint64]:
-    """The first of ball-view k's points and the one after its last."""
-    return np.uint64(outlines.start[k]), np.uint64(outlines.start[k + 1])
-
-
-@inlined
-def _fill_axial(
-    outlines: PackedOutlines, k: int, center: Floats, axial: Floats, out: Floats
-) -> None:
-    """Fill the cosines v.u between ball-view k's bearings and its line of sight, and -J u."""
-    (first, last), rays = _points(outlines, k), outlines.rays
+    ray = outlines.rays[:, outlines.start[k] + i]
     x, y, z = center
     per_mm = 1 / np.sqrt(x * x + y * y + z * z)
-    x, y, z = x * per_mm, y * per_mm, z * per_mm
-    for i in range(first, last):
-        axial[i] = x * rays[0, i] + y * rays[1, i] + z * rays[2, i]
-    for i in range(first, last):
-        out[4, i] = -(x * rays[3, i] + y * rays[4, i] + z * rays[5, i])
-    for i in range(first, last):
-        out[5, i] = -(x * rays[6, i] + y * rays[7, i] + z * rays[8, i])
-
-
-@inlined
-def _fill_residuals(
-    outlines: PackedOutlines,
-    k: int,
-    center: Floats,
-    offset: float,
-    axial: Floats,
-    radial: Floats,
-    scale: Floats,
-    slope: Floats,
-    out: Floats,
-) -> None:
-    """Fill ball-view k's residuals, and their derivatives by its centre."""
-    (first, last), rays = _points(outlines, k), outlines.rays
-    x, y, z = center
-    per_mm = 1 / np.sqrt(x * x + y * y + z * z)
-    sine = outlines.radii[k] * per_mm
+    x, y, z, sine = x * per_mm, y * per_mm, z * per_mm, outlines.radii[k] * per_mm
     cosine = np.sqrt(1 - sine * sine)
-    tangent = sine / cosine
-    x, y, z = x * per_mm, y * per_mm, z * per_mm
-    for i in range(first, last):
-        # The angle beyond the cone, by its sine; the next term is below 1e-9 rad at 10 px.
-        beyond = radial[i] * cosine - axial[i] * sine
-        out[6, i] = scale[i] * (beyond + beyond * beyond * beyond / 6) - offset
-    for i in range(first, last):
-        axial[i] += radial[i] * tangent
-    for i in range(first, last):
-        out[0, i] = per_mm * slope[i] * (rays[0, i] - axial[i] * x)
-    for i in range(first, last):
-        out[1, i] = per_mm * slope[i] * (rays[1, i] - axial[i] * y)
-    for i in range(first, last):
-        out[2, i] = per_mm * slope[i] * (rays[2, i] - axial[i] * z)
+    axial = x * ray[0] + y * ray[1] + z * ray[2]
+    radial = np.sqrt((1 - axial) * (1 + axial))
+    right = -(x * ray[3] + y * ray[4] + z * ray[5])
+    down = -(x * ray[6] + y * ray[7] + z * ray[8])
+    length = np.sqrt(right * right + down * down)
+    # The angle beyond the cone, by its sine; the next term is below 1e-9 rad at 10 px.
+    beyond = radial * cosine - axial * sine
+    out[6, i] = length / radial * (beyond + beyond * beyond * beyond / 6) - offset
+    out[3, i], out[4, i], out[5, i] = 1.0, right / length, down / length
+    slope, toward = per_mm * length / (radial * radial), axial + radial * sine / cosine
+    out[0, i] = slope * (ray[0] - toward * x)
+    out[1, i] = slope * (ray[1] - toward * y)
+    out[2, i] = slope * (ray[2] - toward * z)
 
 
 @inlined
-def _weights(columns: Floats, outlines: PackedOutlines, k: int, effect: Floats) -> Floats:
-    """Tukey's weights (n,) of ball-view k's points over their variances (formulas 8 and 9)."""
-    first, n = np.uint64(outlines.start[k]), np.uint64(outlines.start[k + 1] - outlines.start[k])
+def _weights(columns: Floats, sharpness: Floats, effect: Floats) -> Floats:
+    """Tukey's weights (n,) of a ball-view's points over their variances (formulas 8 and 9)."""
     x, y, growth = effect
-    out, size, sharpness = np.empty(n), np.empty(n), outlines.sharpness
-    for i in range(n):
-        left = (
-            columns[6, first + i] - columns[4, first + i] * x - columns[5, first + i] * y - growth
-        )
-        out[i] = left * sharpness[first + i]
-    for i in range(n):
-        size[i] = abs(out[i])
-    unit = 1 / max(MAD_TO_SD * np.median(size), 0.3)
-    for i in range(n):
-        t, sharp = out[i] * (unit / TUKEY_SIGMAS), sharpness[first + i] * unit
+    left = (columns[6] - columns[4] * x - columns[5] * y - growth) * sharpness
+    scale = max(MAD_TO_SD * np.median(np.abs(left)), 0.3)
+    for i in range(len(left)):
+        t = left[i] / (scale * TUKEY_SIGMAS)
         robust = (1 - t * t) * (1 - t * t) if t * t < 1 else 1e-6
-        out[i] = robust * sharp * sharp
-    return out
-
-
-@inlined
-def _fill_sums(columns: Floats, weights: Floats, start: int, buffer: Floats, out: Floats) -> None:
-    """Weighted sums of products of the columns of a ball-view's n points, (7, 7).
-
-    Args:
-        columns: (7, all points).
-        weights: (n,).
-        start: where the ball-view's points begin.
-        buffer: (14 n,) scratch: a matrix product is quickest of contiguous rows.
-        out: (7, 7) filled.
-    """
-    first, n, size = np.uint64(start), np.uint64(len(weights)), _LOCAL * len(weights)
-    block = buffer[:size].reshape(_LOCAL, len(weights))
-    weighted = buffer[size : 2 * size].reshape(_LOCAL, len(weights))
-    for a in range(_LOCAL):
-        for i in range(n):
-            block[a, i] = columns[a, first + i]
-        for i in range(n):
-            weighted[a, i] = weights[i] * block[a, i]
-    np.dot(weighted, block.T, out)
+        left[i] = robust * (sharpness[i] / scale) ** 2
+    return left
 
 
 @inlined

@@ -1,4 +1,8 @@
-"""The joint fit of one pose to every outline point of every ball in every camera."""
+"""The joint fit of one pose to every outline point of every ball in every camera.
+
+And the derivatives of the pose by what it was fitted to (docs/explanation/joint_fit.md, formulas 17
+and 19).
+"""
 
 from __future__ import annotations
 

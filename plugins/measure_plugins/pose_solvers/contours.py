@@ -28,7 +28,7 @@ from measure.model.observations import stacked_detections, stacked_positions
 
 if TYPE_CHECKING:
     from measure_plugins._joint_fit.covariance import JointFit
-    from measure_plugins._joint_fit.problem import BallRows, PackedOutlines, ViewRows
+    from measure_plugins._joint_fit.problem import BallRows, PackedOutlines
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,6 @@ class BallViewNames:
     cameras: tuple[Camera, ...]  # (c,) the same
     rig: Rig  # (c,) the same, stacked
     rows: BallRows
-    views: ViewRows
 
 
 class NamedOutlines(NamedTuple):
@@ -92,7 +91,7 @@ def _packed(
     points = [d.outline_px for d in seen if d.outline_px is not None]
     sd = [d.outline_sd_px for d in seen if d.outline_sd_px is not None]
     covariances = stacked_detections(seen)[1]
-    packed, kept = pack(points, sd, covariances, named.rows, named.views)
+    packed, kept = pack(points, sd, covariances, named.rows)
     if len(kept) < len(seen):
         return _packed(tuple(seen[i] for i in kept), body, tuple(cameras[i] for i in kept))
     return NamedOutlines(packed, seen, named, {d.time_s for d in seen})
@@ -101,16 +100,24 @@ def _packed(
 @lru_cache(maxsize=64)
 def _named(balls: tuple[str, ...], body: Body, cameras: tuple[Camera, ...]) -> BallViewNames:
     """Of k ball-views; bodies and cameras compare by identity."""
-    from measure_plugins._joint_fit.problem import BallRows, view_rows
+    from measure_plugins._joint_fit.problem import BallRows
 
     used = {camera.name: camera for camera in cameras}
     names = tuple(sorted(used))
     own = tuple(used[name] for name in names)
     ball_of = np.array([body.index(name) for name in balls])
     view_of = np.array([names.index(camera.name) for camera in cameras])
-    rows = BallRows(view_of, body.centers[ball_of], body.radii[ball_of])
+    rig, inward = Rig.of(own), [camera.camera_from_world for camera in own]
+    rows = BallRows(
+        view_of,
+        body.centers[ball_of],
+        body.radii[ball_of],
+        rig.lenses,
+        np.array([into.rotation for into in inward], order="C"),
+        np.stack([into.translation for into in inward]),
+    )
     shown = tuple(name for name in body.names if name in balls)
-    return BallViewNames(balls, ball_of, shown, names, own, Rig.of(own), rows, view_rows(own))
+    return BallViewNames(balls, ball_of, shown, names, own, rig, rows)
 
 
 _MAX_EFFECT_SQUARE = 13.8

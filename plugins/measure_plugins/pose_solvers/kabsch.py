@@ -14,7 +14,13 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.estimation import PointObservations, calibration_noise, fit_point, point_sensitivity
+from measure.estimation import (
+    PointObservations,
+    calibration_noise,
+    fit_point,
+    layout_flags,
+    point_sensitivity,
+)
 from measure.geometry import RigidTransform, align_points, chi_square_quantile, propagate, skew
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Motion, Pose
@@ -56,15 +62,6 @@ class KabschSolver(PoseSolver):
     Config = KabschConfig
     config: KabschConfig
 
-    def warm_up(self) -> None:
-        """Compile the check of the balls' distances."""
-        centers = self.body.centers
-        from measure.estimation import layout_flags
-
-        layout_flags(
-            self.body, self.body.names, centers, np.tile(np.eye(3), (len(centers), 1, 1)), 1
-        )
-
     def solve(
         self,
         positions: Sequence[BallPosition],
@@ -74,8 +71,6 @@ class KabschSolver(PoseSolver):
         prior: Motion | None = None,
     ) -> Pose | None:
         """Locate the body from its positions; None for fewer than three, or balls on one line."""
-        from measure.estimation import layout_flags
-
         if len(positions) < 3:
             return None
         at = [self._at(position, detections, cameras, time_s, prior) for position in positions]
