@@ -11,7 +11,6 @@ import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats
 from measure.compiling import compiled
-from measure.host import Settings, setting
 from measure.model import BallColor
 from measure_plugins._acquisition.circles import circles_of_each, distinct
 from measure_plugins._acquisition.color_table import (
@@ -27,26 +26,17 @@ from measure_plugins._acquisition.color_table import (
 from measure_plugins._acquisition.patches import majority
 
 _REDUCED_WIDTH = 320
-
-
-class AcquisitionSettings(Settings):
-    """How the whole frame is searched for balls."""
-
-    min_radius_px: float = setting(10.0, "Smallest outline radius searched for.", unit="px", gt=2)
-    max_radius_share: float = setting(
-        0.35, "Largest outline radius, as a share of the image's height.", gt=0, le=1
-    )
-    min_seen: float = setting(0.16, "Least share of a ball's outline in sight.", gt=0, le=1)
-    min_filled: float = setting(
-        0.3, "Least share of a circle's inside that has the ball's colour.", ge=0, le=1
-    )
-    max_candidates: int = setting(10, "Most candidates per ball and picture.", ge=1)
+_MIN_RADIUS_PX, _MAX_RADIUS_SHARE = 10.0, 0.35
+"""Smallest outline radius searched for, and the largest, as a share of the picture's height."""
+_MIN_SEEN, _MIN_FILLED = 0.16, 0.3
+"""Least share of a ball's outline in sight, and of a circle's inside that has the ball's colour."""
+_MAX_CANDIDATES = 10  # Per ball and picture
 
 
 class FoundCircles(NamedTuple):
     """Circles of each colour in one picture."""
 
-    # for each colour up to `max_candidates` circles (k, 6), best first, to a pixel or two: centre
+    # for each colour up to ten circles (k, 6), best first, to a pixel or two: centre
     # x, y and radius in px, share of the circle seen, share of its inside that has the colour, and
     # the number of the bit in `table` that has found it.
     of_color: list[Floats]
@@ -55,9 +45,7 @@ class FoundCircles(NamedTuple):
     table: Bytes
 
 
-def find_circles(
-    pixels: Bytes, colors: Sequence[BallColor], config: AcquisitionSettings
-) -> FoundCircles:
+def find_circles(pixels: Bytes, colors: Sequence[BallColor]) -> FoundCircles:
     """Search one whole picture for balls of some colours.
 
     Which candidates are balls, and which ball, is decided by geometry later.
@@ -77,13 +65,13 @@ def find_circles(
     with_dark.setflags(write=False)
     bits, shaded = _bits_of(pixels, table, with_dark, step, count)
     dark = np.nonzero(shaded)[0].tolist()
-    found = _circles(bits, range(count + len(again)), step, pixels.shape[0], config)
+    found = _circles(bits, range(count + len(again)), step, pixels.shape[0])
     more = list(zip([i for i, _ in again], found[count:], strict=True))
     if dark:
         bits, _ = _bits_of(pixels, with_dark, with_dark, step, 0)
-        more += zip(dark, _circles(bits, dark, step, pixels.shape[0], config), strict=True)
+        more += zip(dark, _circles(bits, dark, step, pixels.shape[0]), strict=True)
     for i, others in more:
-        found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
+        found[i] = distinct(np.concatenate([found[i], others]))[:_MAX_CANDIDATES]
     return FoundCircles(found[:count], with_dark)
 
 
@@ -109,24 +97,17 @@ def _tables(colors: tuple[BallColor, ...]) -> tuple[Bytes, Bytes, tuple[int, ...
 
 def warm_up() -> None:
     """Compile the loops, or load them from the cache, before the first picture arrives."""
-    table, settings = color_table((BallColor.named("red"),)), AcquisitionSettings()
+    table = color_table((BallColor.named("red"),))
     bits, _ = _bits_of(np.zeros((64, 64, 3), np.uint8), table, table, 4, 1)
     bits[5:12, 5:12] = 1
-    distinct(_circles(bits, [0], 4, 64, settings)[0])
+    distinct(_circles(bits, [0], 4, 64)[0])
 
 
-def _circles(
-    bits: Bytes, of: Sequence[int], step: int, height: int, config: AcquisitionSettings
-) -> list[Floats]:
+def _circles(bits: Bytes, of: Sequence[int], step: int, height: int) -> list[Floats]:
     """Circles (k, 6) of some colours, best first, see `FoundCircles`."""
-    radii = (config.min_radius_px / step, config.max_radius_share * height / step)
+    radii = (_MIN_RADIUS_PX / step, _MAX_RADIUS_SHARE * height / step)
     circles, ends = circles_of_each(
-        bits,
-        np.array(of, np.int64),
-        radii,
-        config.min_seen,
-        config.min_filled,
-        config.max_candidates,
+        bits, np.array(of, np.int64), radii, _MIN_SEEN, _MIN_FILLED, _MAX_CANDIDATES
     )
     circles[:, :3] *= step
     circles[:, :2] += (step - 1) / 2

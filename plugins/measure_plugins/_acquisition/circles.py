@@ -2,7 +2,9 @@
 
 Three points of a border give a circle; its score is the share of its circumference that has the
 colour inside and another outside (RANSAC, Fischler and Bolles 1981, with fixed instead of random
-samples). A circle of opposite curvature, around an occluder, has no support.
+samples). A circle of opposite curvature, around an occluder, has no support. The best ones are
+fitted to the edge of the segment near them: the mask is read all round a circle at once, radius by
+radius, a few more pixels, but no branches.
 """
 
 from __future__ import annotations

@@ -7,6 +7,10 @@ searched twice: by their colour, and as brighter than the median grey of the pic
 Balls may stand in front of dull things of their hue: an orange ball and cardboard, a yellow one and
 wood. A range of hue that holds a colour in all lights holds much else, to which the ball is joined.
 Where what has a colour falls into dull and vivid pixels, the vivid ones are searched once more.
+
+Balls in hard light are cut along their terminator: colour ranges exclude dark pixels, in which grey
+may have any hue. They are searched by their colour, and by that together with dark pixels of the
+same hue and high saturation.
 """
 
 from __future__ import annotations

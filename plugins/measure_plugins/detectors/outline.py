@@ -22,8 +22,6 @@ from measure_plugins.detectors._known_balls import (
     GIVE_UP_SHARE,
     MIN_RAYS,
     OutlineConfig,
-)
-from measure_plugins.detectors._wide_windows import (
     better_of,
     lost_in_wide_windows,
     moved_to_circles,
@@ -52,7 +50,6 @@ class OutlineDetector(SelfCalibratingDetector):
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         super().__init__(config, body, camera)
-        from measure_plugins._acquisition import AcquisitionSettings
         from measure_plugins._acquisition.color_table import with_shade
         from measure_plugins._outline.appearance.model import first_appearance
         from measure_plugins._outline.self_calibration.schedule import SelfCalibration
@@ -63,7 +60,6 @@ class OutlineDetector(SelfCalibratingDetector):
         turned = camera.world_from_camera.rotation
         self._self_calibration = SelfCalibration(lens, turned, c.rays, c.margin_px)
         self._background: BackgroundEstimation | None = None
-        self._acquisition = AcquisitionSettings()
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._table = with_shade(self._colors)
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
@@ -162,7 +158,7 @@ class OutlineDetector(SelfCalibratingDetector):
         """Circles of each of the body's colours in a whole picture."""
         from measure_plugins._acquisition import find_circles
 
-        return find_circles(view.pixels, self._colors, self._acquisition)
+        return find_circles(view.pixels, self._colors)
 
     def _recalibrated(
         self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from measure.model import BallColor, Image
-from measure_plugins._acquisition import AcquisitionSettings, find_circles
+from measure_plugins._acquisition import find_circles
 from tests.scenes import FOUR, RAVEN
 
 BGR = {
@@ -30,10 +30,10 @@ def picture(discs, background=(28, 28, 28), noise=3.0, seed=0, gain=1.0):
     return Image("cam0", 0, 0.5, lambda: np.clip(noisy, 0, 255).astype(np.uint8))
 
 
-def search(image, body=RAVEN, **settings):
+def search(image, body=RAVEN):
     """Circles (k, 6) of each ball's colour, see `FoundCircles`."""
     colors = [ball.color for ball in body.balls]
-    found = find_circles(image.pixels, colors, AcquisitionSettings(**settings)).of_color
+    found = find_circles(image.pixels, colors).of_color
     return dict(zip(body.names, found, strict=True))
 
 
@@ -83,12 +83,12 @@ def test_an_orange_ball_in_front_of_cardboard_of_its_hue_is_found():
     cardboard, orange = (40, 60, 90), BallColor.named("orange")
     image = picture([((30, 70, 235), 600, 300, 40)], background=cardboard)
     assert orange.matches([cardboard, (30, 70, 235)]).all()
-    found = find_circles(image.pixels, [orange], AcquisitionSettings())
+    found = find_circles(image.pixels, [orange])
     (circle, *_) = found.of_color[0]
     assert_at(circle, 600, 300, 40, 1.5)
     assert int(circle[5]) == 1  # by the bit of vivid pixels
     alone = picture([((30, 70, 235), 600, 300, 40)])
-    assert find_circles(alone.pixels, [orange], AcquisitionSettings()).of_color[0][0, 5] == 0
+    assert find_circles(alone.pixels, [orange]).of_color[0][0, 5] == 0
 
 
 def test_no_ball_no_candidate():
@@ -112,12 +112,13 @@ def test_other_image_sizes():
 
 
 @pytest.mark.parametrize("most", [3, 10])
-def test_no_more_candidates_than_asked_for(most):
+def test_no_more_candidates_than_asked_for(monkeypatch, most):
     """However many balls there are: every candidate has to be looked at. The largest are kept."""
     radii = np.linspace(15, 50, 24)
     places = [(110 + 150 * (k % 8), 110 + 200 * (k // 8)) for k in range(24)]
     discs = [("red", x, y, r) for (x, y), r in zip(places, radii, strict=True)]
-    found = search(picture(discs), max_candidates=most)["red"]
+    monkeypatch.setattr("measure_plugins._acquisition.candidates._MAX_CANDIDATES", most)
+    found = search(picture(discs))["red"]
     assert len(found) == most
     assert found[:, 2] == pytest.approx(radii[::-1][:most], abs=2)
 

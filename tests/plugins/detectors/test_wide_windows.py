@@ -9,7 +9,7 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
-from measure_plugins.detectors._wide_windows import lost_in_wide_windows, moved_to_circles
+from measure_plugins.detectors._known_balls import lost_in_wide_windows, moved_to_circles
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import BGR, draw, expect, image_of, to_picture
 from tests.scenes import LENS, RAVEN
