@@ -8,10 +8,8 @@ from itertools import combinations
 import numpy as np
 
 from measure.arrays import Floats
-from measure.compiling import compiled
 from measure.errors import DegenerateGeometryError
 from measure.geometry import align_points
-from measure.geometry.rotation_kernels import apply_matrix
 from measure.model import Body
 
 _MAX_DISTANCE_SIGMAS = 4.0
@@ -71,7 +69,6 @@ def thickness(points_body: Floats) -> float:
     return float(np.linalg.svd(centred, compute_uv=False)[2] / np.sqrt(len(centred)))
 
 
-@compiled
 def pair_distances(points_body: Floats, centers: Floats, covariances: Floats) -> Floats:
     """Distances of every two of n balls: (0, 1), (0, 2) ... (1, 2) ...
 
@@ -83,42 +80,10 @@ def pair_distances(points_body: Floats, centers: Floats, covariances: Floats) ->
     Returns:
         (n (n - 1) / 2, 3) as measured, as the file says, and the standard deviation, mm.
     """
-    n, row = len(centers), 0
-    out = np.empty((n * (n - 1) // 2, 3))
-    for i in range(n):
-        for j in range(i + 1, n):
-            apart, nominal = centers[i] - centers[j], points_body[i] - points_body[j]
-            out[row, 0] = np.sqrt(np.sum(apart * apart))
-            out[row, 1] = np.sqrt(np.sum(nominal * nominal))
-            along, variance = apart / max(out[row, 0], 1e-9), 0.0
-            for a in range(3):
-                for b in range(3):
-                    noise = covariances[i, a, b] + covariances[j, a, b]
-                    variance += along[a] * noise * along[b]
-            out[row, 2] = np.sqrt(variance)
-            row += 1
-    return out
-
-
-@compiled
-def distances_from_body(
-    rotation: Floats, translation: Floats, points_body: Floats, centers: Floats, covariances: Floats
-) -> Floats:
-    """Distances of n measured balls from where a pose puts them.
-
-    Args:
-        rotation: (3, 3) of world_from_body.
-        translation: (3,) the same.
-        points_body: (n, 3) centres in the body file, mm.
-        centers: (n, 3) as measured, mm.
-        covariances: (n, 3, 3) of those.
-
-    Returns:
-        (n, 2) squared Mahalanobis distances, and distances in mm.
-    """
-    out = np.empty((len(centers), 2))
-    for i in range(len(centers)):
-        off = centers[i] - apply_matrix(rotation, points_body[i]) - translation
-        out[i, 0] = np.sum(off * np.linalg.solve(covariances[i], off))
-        out[i, 1] = np.sqrt(np.sum(off * off))
-    return out
+    a, b = np.triu_indices(len(centers), 1)
+    apart = centers[a] - centers[b]
+    measured = np.linalg.norm(apart, axis=1)
+    along = apart / np.maximum(measured, 1e-9)[:, None]
+    variance = np.einsum("ni,nij,nj->n", along, covariances[a] + covariances[b], along)
+    stated = np.linalg.norm(points_body[a] - points_body[b], axis=1)
+    return np.column_stack([measured, stated, np.sqrt(variance)])

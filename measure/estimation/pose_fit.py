@@ -14,17 +14,18 @@ from functools import lru_cache
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.compiling import compiled
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
-from measure.geometry.linear_kernels import squared_distance
-from measure.geometry.rotation_kernels import rotation_of
 from measure.model import Body, Camera, Detection, Rig
 from measure.model.observations import stacked_detections
-from measure.model.rig import RigRows
-from measure.model.rig_kernels import project_one
 
 _STEP_TOLERANCE = 1e-8
+_MAX_ITERATIONS = 15
+_FIRST_TUKEY = 1e3
+"""Width of Tukey's weights, in standard deviations, in the first two iterations: with a start that
+is a little off all residuals are large, and good observations must keep their weights."""
+_MIN_EIGENVALUE_RATIO = 1e-9
+"""Least eigenvalue of the scaled information over the greatest for which there is a pose."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -126,27 +127,52 @@ def fit_pose(
     Raises:
         DegenerateGeometryError: the observations do not determine a pose.
     """
-    s = observations
-    try:
-        rotation, translation, normal, residuals, distances, weighing = fit_pose_rows(
-            s.rig.rows,
-            s.points_body,
-            s.pixels,
-            _inverse(s.noise),
-            s.lead_s,
-            np.zeros(6) if velocity is None else np.ascontiguousarray(velocity),
-            np.ascontiguousarray(start.rotation),
-            np.ascontiguousarray(start.translation),
-            tukey,
-            tolerance,
-        )
-    except np.linalg.LinAlgError:
-        raise _undetermined(len(s)) from None
-    if weighing < 0:
-        raise _undetermined(-weighing - 1)
-    distances[np.isnan(distances)] = np.inf
-    pose = RigidTransform(rotation, translation)
-    return PoseFit(pose, _inverse(normal), residuals, distances)
+    s, pose = observations, start
+    turning = np.zeros(6) if velocity is None else velocity
+    inverse, normal = np.asarray(np.linalg.inv(s.noise), np.float64), np.eye(6)
+    for step in range(_MAX_ITERATIONS):
+        residuals, slopes, distances = _residuals(s, pose, turning, inverse)
+        width = tukey if step > 1 else _FIRST_TUKEY
+        weights = np.maximum(1 - distances / width**2, 0.0) ** 2
+        weighted = np.swapaxes(slopes, 1, 2) @ (inverse * weights[:, None, None])
+        normal = (weighted @ slopes).sum(axis=0)
+        if step == 0 and not _determined(normal):
+            raise _undetermined(int(np.count_nonzero(weights)))
+        try:
+            change = np.linalg.solve(normal, np.einsum("nij,nj->i", weighted, residuals))
+        except np.linalg.LinAlgError:
+            raise _undetermined(len(s)) from None
+        pose = pose.perturb(change)
+        if step > 2 and np.max(np.abs(change)) < tolerance:
+            break
+    if not _determined(normal):
+        raise _undetermined(int(np.count_nonzero(weights)))
+    residuals, _, distances = _residuals(s, pose, turning, inverse)
+    residuals[np.isinf(distances)] = np.nan
+    covariance = np.asarray(np.linalg.inv(normal), np.float64)
+    return PoseFit(pose, covariance, residuals, distances)
+
+
+def _residuals(
+    seen: PoseObservations, pose: RigidTransform, velocity: Floats, inverse: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Residuals (n, 2), their slopes (n, 2, 6) and squared Mahalanobis distances (n,).
+
+    Points without an image have zeros, and infinite distances.
+    """
+    residuals, slopes, _ = seen.residuals(pose, velocity)
+    unseen = np.isnan(residuals).any(axis=1)
+    residuals, slopes = np.nan_to_num(residuals), np.nan_to_num(slopes)
+    distances = np.einsum("ni,nij,nj->n", residuals, inverse, residuals)
+    distances[unseen] = np.inf
+    return residuals, slopes, distances
+
+
+def _determined(normal: Floats) -> bool:
+    """Whether an information matrix, mm and rad scaled to each other, is not singular."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-30))
+    spread = np.linalg.eigvalsh(normal * scale[:, None] * scale)
+    return bool(spread[0] > _MIN_EIGENVALUE_RATIO * spread[5])
 
 
 @lru_cache(maxsize=256)
@@ -156,150 +182,5 @@ def _placed(body: Body, names: tuple[str, ...]) -> tuple[Ints, Floats]:
     return balls, body.centers[balls]
 
 
-def _inverse(matrix: Floats) -> Floats:
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-
-
 def _undetermined(count: int) -> DegenerateGeometryError:
     return DegenerateGeometryError(f"{count} ball sightings do not determine a pose")
-
-
-_MAX_ITERATIONS = 15
-_FIRST_TUKEY = 1e3
-"""Width of Tukey's weights, in standard deviations, in the first two iterations: with a start that
-is a little off all residuals are large, and good observations must keep their weights."""
-_MIN_EIGENVALUE_RATIO = 1e-9
-"""Least eigenvalue of the scaled information over the greatest for which there is a pose."""
-
-
-@compiled
-def fit_pose_rows(
-    rig: RigRows,
-    points_body: Floats,
-    pixels: Floats,
-    inverse: Floats,
-    lead_s: Floats,
-    velocity: Floats,
-    rotation: Floats,
-    translation: Floats,
-    tukey: float,
-    tolerance: float,
-) -> tuple[Floats, Floats, Floats, Floats, Floats, int]:
-    """Robust Gauss-Newton on the reprojection of n points of a body.
-
-    Args:
-        rig: the n cameras.
-        points_body: (n, 3).
-        pixels: (n, 2).
-        inverse: (n, 2, 2) inverse covariances of the pixels.
-        lead_s: (n,) time of the picture after the common instant.
-        velocity: (6,) of the body, in the pose's `perturb` chart, per second.
-        rotation: (3, 3) of world_from_body to start from.
-        translation: (3,) the same.
-        tukey: a residual this many standard deviations off has no weight at all.
-        tolerance: stop when a step is smaller than this, in mm and rad.
-
-    Returns:
-        Rotation (3, 3), translation (3,), information (6, 6), residuals (n, 2) and their squared
-        Mahalanobis distances (n,) at the end; the number of points of non-zero weight, or minus
-        one minus that number if they do not determine a pose.
-    """
-    n = len(pixels)
-    rotation, translation = rotation.copy(), translation.copy()
-    residuals, slopes, distance = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty(n)
-    normal, right, change, weighing = np.empty((6, 6)), np.empty(6), np.empty(6), 0
-    for step in range(_MAX_ITERATIONS):
-        _fill_residuals(
-            rig, points_body, pixels, lead_s, velocity, rotation, translation, residuals, slopes
-        )
-        weighing = _equations(
-            residuals, slopes, inverse, tukey if step > 1 else _FIRST_TUKEY, normal, right
-        )
-        if step == 0 and not _determined(normal):
-            return rotation, translation, normal, residuals, distance, -weighing - 1
-        change[:] = np.linalg.solve(normal, right)
-        translation += change[:3]
-        rotation = rotation_of(change[3:]) @ rotation
-        if step > 2 and np.max(np.abs(change)) < tolerance:
-            break
-    _fill_residuals(
-        rig, points_body, pixels, lead_s, velocity, rotation, translation, residuals, slopes
-    )
-    for i in range(n):
-        distance[i] = squared_distance(residuals[i], inverse[i])
-    if not _determined(normal):
-        weighing = -weighing - 1
-    return rotation, translation, normal, residuals, distance, weighing
-
-
-@compiled
-def _fill_residuals(
-    rig: RigRows,
-    points_body: Floats,
-    pixels: Floats,
-    lead_s: Floats,
-    velocity: Floats,
-    rotation: Floats,
-    translation: Floats,
-    residuals: Floats,
-    slopes: Floats,
-) -> None:
-    """Fill the points' residuals (n, 2) and their images' derivatives (n, 2, 6) by the pose."""
-    arm, point, turn = np.empty(3), np.empty(3), velocity[3:]
-    seen, by_point = np.empty(2), np.empty((2, 3))
-    for i in range(len(pixels)):
-        for a in range(3):
-            arm[a] = 0.0
-            for b in range(3):
-                arm[a] += rotation[a, b] * points_body[i, b]
-        for a in range(3):
-            b, c = (a + 1) % 3, (a + 2) % 3
-            moved = lead_s[i] * (velocity[a] + turn[b] * arm[c] - turn[c] * arm[b])
-            point[a] = arm[a] + translation[a] + moved
-        project_one(rig, i, point, seen, by_point)
-        for u in range(2):
-            residuals[i, u] = pixels[i, u] - seen[u]
-            for a in range(3):
-                b, c = (a + 1) % 3, (a + 2) % 3
-                slopes[i, u, a] = by_point[u, a]
-                slopes[i, u, 3 + a] = arm[b] * by_point[u, c] - arm[c] * by_point[u, b]
-
-
-@compiled
-def _equations(
-    residuals: Floats, slopes: Floats, inverse: Floats, width: float, normal: Floats, right: Floats
-) -> int:
-    """Fill the normal equations (6, 6), (6,); returns the number of points of non-zero weight."""
-    normal[:], right[:] = 0.0, 0.0
-    weighing = 0
-    weighted = np.empty((6, 2))
-    for i in range(len(residuals)):
-        distance = squared_distance(residuals[i], inverse[i])
-        weight = max(1 - distance / width**2, 0.0) ** 2
-        if not (np.isfinite(distance) and weight > 0):
-            continue
-        weighing += 1
-        for a in range(6):
-            for u in range(2):
-                weighted[a, u] = 0.0
-                for v in range(2):
-                    weighted[a, u] += slopes[i, v, a] * inverse[i, v, u] * weight
-            right[a] += weighted[a, 0] * residuals[i, 0] + weighted[a, 1] * residuals[i, 1]
-            for b in range(6):
-                normal[a, b] += weighted[a, 0] * slopes[i, 0, b] + weighted[a, 1] * slopes[i, 1, b]
-    return weighing
-
-
-@compiled
-def _determined(normal: Floats) -> bool:
-    """Whether an information matrix, mm and rad scaled to each other, is not singular."""
-    scaled, scale = np.empty((6, 6)), np.empty(6)
-    for a in range(6):
-        scale[a] = np.sqrt(max(normal[a, a], 1e-30))
-    for a in range(6):
-        for b in range(6):
-            scaled[a, b] = normal[a, b] / (scale[a] * scale[b])
-    if not np.all(np.isfinite(scaled)):
-        return False
-    spread = np.linalg.eigvalsh(scaled)
-    return spread[0] > _MIN_EIGENVALUE_RATIO * spread[5]

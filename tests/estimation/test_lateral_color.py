@@ -5,8 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from measure.estimation.lateral_color import lateral_color
-from measure.measuring.lateral_color import with_lateral_color
+from measure.estimation.lateral_color import lateral_color, with_lateral_color
 from measure.model import FrameSet, Image
 
 SIZE = (1280, 720)

@@ -15,7 +15,7 @@ from measure.estimation.pose_fit import fit_pose
 from measure.geometry import RigidTransform, propagate
 from measure.geometry.rays import MIN_PARALLAX_RAD
 from measure.measuring import time_alignment
-from measure.measuring.time_alignment import FrameSetObservations, least_norm_solution
+from measure.measuring.time_alignment import FrameSetObservations
 from measure.model import BallView, Camera, Detection, Intrinsics, Motion, Pose, Rig
 from measure.model.observations import State
 from tests.scenes import RAVEN, TARGET, ring, see
@@ -140,16 +140,6 @@ def test_a_velocity_that_may_be_wrong_makes_the_pose_of_pictures_out_of_step_les
         share = share - alone
     np.testing.assert_allclose(share, 0, atol=1e-12)
     assert seen.motion_covariance(pose, _moving(pose, np.zeros(6))) is None
-
-
-@pytest.mark.parametrize("rows", [20, 5, 3], ids=["determined", "a turn open", "half open"])
-def test_least_norm_solution_are_the_least_that_solve_the_equations(rows: int) -> None:
-    rng = np.random.default_rng(rows)
-    slopes = rng.normal(size=(rows, 6)) * [1, 1, 1, 40, 40, 40]
-    normal = slopes.T @ slopes
-    moved = normal @ rng.normal(size=(6, 12))
-    least = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ moved
-    np.testing.assert_allclose(least_norm_solution(normal, moved), least, atol=1e-6)
 
 
 def test_balls_without_an_image_say_nothing_of_a_velocity() -> None:
