@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from measure.estimation import pose_fit as fit_kernels
 from measure.geometry import RigidTransform
 from measure.measuring.association import associate, candidates, hypotheses, warm_up
 from measure.model import Ball, BallColor, Body, Camera, Detection, rig_kernels
@@ -219,12 +218,7 @@ def test_triangles_are_put_on_others_by_least_squares():
 def test_warming_up_compiles_all_that_a_search_runs():
     """For the very types that a search uses: else the first one would compile them again."""
     warm_up(RAVEN, list(CAMERAS.values()))
-    loops = (
-        candidates.intersections,
-        hypotheses.agreement,
-        fit_kernels.fit_pose_rows,
-        rig_kernels.ray_rows,
-    )
+    loops = (candidates.intersections, hypotheses.agreement, rig_kernels.ray_rows)
     with nothing_compiles(*loops):
         truth = a_pose(np.random.default_rng(2))
         assert_found(find(rough(truth)), truth)

@@ -18,7 +18,6 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
-from measure.host.settings import Settings, setting
 from measure.measuring.association.candidates import BallPoints, Candidates, by_ball, intersect_rays
 from measure.measuring.association.hypotheses import (
     CandidateRows,
@@ -32,6 +31,16 @@ from measure.measuring.association.hypotheses import (
 from measure.measuring.association.second_body import second_body_flags
 from measure.model import Body, Camera, Detection, Rig
 
+_SIGMAS = 3.5  # Candidates agree with a pose within this many standard deviations
+_EXTRA_PX = 1.5  # Added to every candidate's standard deviation in quadrature
+_RANGE_RATIO = 1.4  # Largest error, as a factor, of the distance that an outline's size implies
+MIN_VIEWS, _MIN_SHARE = 5, 0.4
+"""Least number of balls found, counted in every camera, and least share of those in view."""
+_RIVAL_SCORE, _TWIN_SCORE = 0.5, 0.9
+"""Another pose whose score is this share of the best one's makes the result ambiguous; and one that
+rests mostly on the same candidates, as a mirror image does."""
+_RIVAL_MM = 8.0  # Poses count as different if some ball is this far apart
+_MAX_POINTS = 40  # Most possible centres kept per ball
 _MAX_ITERATIONS = 2
 _MAX_FINALISTS = 6
 _MIN_SCORE = 0.5  # Score of a detection whose outline's size is used
@@ -40,43 +49,6 @@ _MAX_SQUARED_DEVIATION = 25.0
 """Limit of one outline's squared radius error, in standard deviations: five of them."""
 _CONVERGED = 1e-3  # Steps, in mm and rad, that no longer change which candidates agree
 _TWIN_SHARE = 0.5  # Share of common candidates from which a rival pose is a twin of the best one
-
-
-class AssociationSettings(Settings):
-    """When candidates of several cameras count as one body."""
-
-    sigmas: float = setting(
-        3.5, "Candidates agree with a pose within this many standard deviations.", gt=0
-    )
-    extra_px: float = setting(
-        1.5, "Added to every candidate's standard deviation in quadrature.", unit="px", ge=0
-    )
-    range_ratio: float = setting(
-        1.4, "Largest error, as a factor, of the distance that an outline's size implies.", gt=1
-    )
-    min_views: int = setting(5, "Least number of balls found, counted in every camera.", ge=4)
-    min_share: float = setting(
-        0.4,
-        "Least share of the balls in view, counted in every camera, that must be found.",
-        ge=0,
-        le=1,
-    )
-    rival_score: float = setting(
-        0.5,
-        "Another pose whose score is this share of the best one's makes the result ambiguous.",
-        gt=0,
-        le=1,
-    )
-    twin_score: float = setting(
-        0.9,
-        "The same for a pose that rests mostly on the same candidates, as a mirror image does.",
-        gt=0,
-        le=1,
-    )
-    rival_mm: float = setting(
-        8.0, "Poses count as different if some ball is this far apart.", unit="mm", gt=0
-    )
-    max_points: int = setting(40, "Most possible centres kept per ball.", ge=3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +71,9 @@ class _AssociationProblem:
     cameras: Sequence[Camera]
     candidates: Sequence[Candidates]
     stacked: CandidateRows
-    settings: AssociationSettings
 
     def score(self, poses: RigidTransform) -> PoseScores:
-        return score_poses(poses, self.body, self.cameras, self.stacked, self.settings.range_ratio)
+        return score_poses(poses, self.body, self.cameras, self.stacked, _RANGE_RATIO)
 
     def chosen(self, agreeing: PoseScores, row: int) -> list[Detection]:
         return [
@@ -114,24 +85,20 @@ class _AssociationProblem:
 
 
 def associate(
-    body: Body,
-    cameras: Sequence[Camera],
-    detections: Mapping[str, Sequence[Detection]],
-    settings: AssociationSettings | None = None,
+    body: Body, cameras: Sequence[Camera], detections: Mapping[str, Sequence[Detection]]
 ) -> Association:
     """Find the body by candidates, several per ball and wrong ones too; colours may repeat."""
-    settings = settings or AssociationSettings()
     candidates = by_ball(detections, body.balls, cameras)
-    stacked = stack_candidates(candidates, settings.sigmas, settings.extra_px)
-    problem = _AssociationProblem(body, cameras, candidates, stacked, settings)
-    points = [_ball_points(c, settings) for c in candidates]
+    stacked = stack_candidates(candidates, _SIGMAS, _EXTRA_PX)
+    problem = _AssociationProblem(body, cameras, candidates, stacked)
+    points = [intersect_rays(c, _SIGMAS, _RANGE_RATIO, _MAX_POINTS) for c in candidates]
     for propose in (poses_from_triples, poses_from_pairs):
-        found = _best(problem, propose(body, points, settings.sigmas))
+        found = _best(problem, propose(body, points, _SIGMAS))
         if found is None:
             continue
         if found.world_from_body is None:
             return found
-        flags = second_body_flags(found.world_from_body, body, cameras, candidates, settings.sigmas)
+        flags = second_body_flags(found.world_from_body, body, cameras, candidates, _SIGMAS)
         return replace(found, flags=flags)
     return Association(None, reason=_why_none(body, candidates, points))
 
@@ -141,12 +108,10 @@ def second_body(
     body: Body,
     cameras: Sequence[Camera],
     detections: Mapping[str, Sequence[Detection]],
-    settings: AssociationSettings | None = None,
 ) -> tuple[str, ...]:
     """A flag if whole images of `cameras` may show another body like the one tracked."""
-    settings = settings or AssociationSettings()
     candidates = by_ball(detections, body.balls, cameras)
-    return second_body_flags(world_from_body, body, cameras, candidates, settings.sigmas)
+    return second_body_flags(world_from_body, body, cameras, candidates, _SIGMAS)
 
 
 def _best(problem: _AssociationProblem, poses: RigidTransform) -> Association | None:
@@ -169,7 +134,7 @@ def _best(problem: _AssociationProblem, poses: RigidTransform) -> Association | 
     best_score, best = finalists[0]
     for score, rival in finalists[1:]:
         twin = _common_share(problem, rival, best) > _TWIN_SHARE
-        least = problem.settings.twin_score if twin else problem.settings.rival_score
+        least = _TWIN_SCORE if twin else _RIVAL_SCORE
         if score >= least * best_score and not (twin and _sizes_decide(problem, best, rival)):
             return Association(None, reason=_ambiguous(best, rival))
     return best
@@ -177,10 +142,7 @@ def _best(problem: _AssociationProblem, poses: RigidTransform) -> Association | 
 
 def _sizes_decide(problem: _AssociationProblem, best: Association, rival: Association) -> bool:
     """Whether the outlines' radii contradict the rival pose clearly more than the best one."""
-    return (
-        _radius_deviation(problem, rival)
-        > _radius_deviation(problem, best) + problem.settings.sigmas**2
-    )
+    return _radius_deviation(problem, rival) > _radius_deviation(problem, best) + _SIGMAS**2
 
 
 def _radius_deviation(problem: _AssociationProblem, found: Association) -> float:
@@ -216,13 +178,13 @@ def _different(
     """The best poses, as rows, that differ from each other and have enough candidates."""
     centers = problem.body.centers @ np.swapaxes(poses.rotation, 1, 2) + poses.translation[:, None]
     kept: list[int] = []
-    floor = 0.5 * problem.settings.rival_score * float(np.max(rough.score))
-    enough = (rough.count >= problem.settings.min_views) & (rough.score >= floor)
+    floor = 0.5 * _RIVAL_SCORE * float(np.max(rough.score))
+    enough = (rough.count >= MIN_VIEWS) & (rough.score >= floor)
     for row in order:
         if not enough[row]:
             continue
         apart = [np.max(np.linalg.norm(centers[row] - centers[k], axis=1)) for k in kept]
-        if not apart or min(apart) > problem.settings.rival_mm:
+        if not apart or min(apart) > _RIVAL_MM:
             kept.append(row)
         if len(kept) == _MAX_FINALISTS:
             break
@@ -233,29 +195,28 @@ def _refined(
     problem: _AssociationProblem, pose: RigidTransform, agreeing: PoseScores, row: int
 ) -> tuple[float, Association] | None:
     """Alternate fitting the pose and choosing the agreeing candidates; None if not acceptable."""
-    settings = problem.settings
     by_name = {camera.name: camera for camera in problem.cameras}
     covariance = np.eye(6)
     before: list[Detection] = []
     for _ in range(_MAX_ITERATIONS):
         chosen = problem.chosen(agreeing, row)
-        if len(chosen) < settings.min_views:
+        if len(chosen) < MIN_VIEWS:
             return None
         if [id(d) for d in chosen] == [id(d) for d in before]:
             break
         before = chosen
         time_s = sum(d.time_s for d in chosen) / len(chosen)
         try:
-            seen = PoseObservations.of(chosen, problem.body, by_name, time_s, settings.extra_px)
+            seen = PoseObservations.of(chosen, problem.body, by_name, time_s, _EXTRA_PX)
             fit = fit_pose(pose, seen, tolerance=_CONVERGED)
         except DegenerateGeometryError:
             return None
         pose, covariance, row = fit.world_from_body, fit.covariance, 0
         agreeing = problem.score(RigidTransform(pose.rotation[None], pose.translation[None]))
     chosen = problem.chosen(agreeing, 0)
-    enough = len(chosen) >= settings.min_views
+    enough = len(chosen) >= MIN_VIEWS
     share = len(chosen) / max(1, int(agreeing.expected[0]))
-    if not enough or share < settings.min_share or not _determined(chosen):
+    if not enough or share < _MIN_SHARE or not _determined(chosen):
         return None
     rms = float(np.sqrt(np.vdot(fit.residuals_px, fit.residuals_px) / len(fit.residuals_px)))
     return float(agreeing.score[0]), Association(pose, covariance, tuple(chosen), rms)
@@ -276,7 +237,7 @@ def _is_new(
     for _, other in others:
         assert other.world_from_body is not None
         theirs = other.world_from_body.apply(problem.body.centers)
-        if np.max(np.linalg.norm(mine - theirs, axis=1)) < problem.settings.rival_mm:
+        if np.max(np.linalg.norm(mine - theirs, axis=1)) < _RIVAL_MM:
             return False
     return True
 
@@ -311,21 +272,16 @@ def _why_none(body: Body, candidates: Sequence[Candidates], points: Sequence[Bal
 
 def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     """Compile the loops of a search, or load them, by running them on no candidates at all."""
-    settings = AssociationSettings()
     candidates = by_ball({}, body.balls, cameras)
-    points = [_ball_points(c, settings) for c in candidates]
-    poses_from_triples(body, points, settings.sigmas)
+    points = [intersect_rays(c, _SIGMAS, _RANGE_RATIO, _MAX_POINTS) for c in candidates]
+    poses_from_triples(body, points, _SIGMAS)
     nowhere = RigidTransform(np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    stacked = stack_candidates(candidates, settings.sigmas, settings.extra_px)
-    score_poses(nowhere, body, cameras, stacked, settings.range_ratio)
-    second_body_flags(RigidTransform.identity(), body, cameras, candidates, settings.sigmas)
+    stacked = stack_candidates(candidates, _SIGMAS, _EXTRA_PX)
+    score_poses(nowhere, body, cameras, stacked, _RANGE_RATIO)
+    second_body_flags(RigidTransform.identity(), body, cameras, candidates, _SIGMAS)
     one = np.zeros(1, np.int64)
     seen = PoseObservations(
         Rig.of(cameras[:1]), np.zeros((1, 3)), one, np.zeros((1, 2)), np.eye(2)[None], np.zeros(1)
     )
     with contextlib.suppress(DegenerateGeometryError):
         fit_pose(RigidTransform.identity(), seen)
-
-
-def _ball_points(candidates: Candidates, settings: AssociationSettings) -> BallPoints:
-    return intersect_rays(candidates, settings.sigmas, settings.range_ratio, settings.max_points)
