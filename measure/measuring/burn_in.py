@@ -15,6 +15,7 @@ from itertools import islice
 import numpy as np
 
 from measure.errors import MeasureError
+from measure.estimation.lateral_color import with_lateral_color
 from measure.host import Detector, SelfCalibratingDetector
 from measure.measuring.ball_radii import (
     OutlineGrowth,
@@ -22,7 +23,6 @@ from measure.measuring.ball_radii import (
     seen_balls,
     with_estimated_radii,
 )
-from measure.measuring.lateral_color import with_lateral_color
 from measure.measuring.measurement import Measurement
 from measure.measuring.pipeline import Pipeline
 from measure.model import Body, Camera, FrameSet

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from measure.arrays import Floats
 from measure.estimation.expected_accuracy import tolerance_covariance
-from measure.model import BallPosition, BallView, Body, Motion, Pose
+from measure.model import BallPosition, BallView, Body, Pose
 
 if TYPE_CHECKING:
     from measure.measuring.time_alignment import FrameSetObservations
@@ -69,7 +69,6 @@ class Draft:
     """A measurement that may be solved again when later poses are known."""
 
     measurement: Measurement
-    motion: Motion | None  # used to bring its images to one instant; None if none was known
     # flags of its pose that the tracker or the pipeline raised, not the solver.
     tracker_flags: tuple[str, ...]
     # the observations it rests on; None if the frame set was skipped.

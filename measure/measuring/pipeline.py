@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,17 +16,13 @@ from measure.measuring.body_scale import ScaleMonitor
 from measure.measuring.duplicate_images import DuplicateImages
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_surrounding_poses
-from measure.measuring.thread_pool import CameraPool
 from measure.measuring.time_alignment import FrameSetObservations
 from measure.measuring.tracking import Tracker
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, FrameSet, Motion, Pose
+from measure.processes import usable_cores
 
-_SAME_MOTION_MM = 5e-3
-"""Two motions are the same if they displace the body by no more than this at the images' times."""
 _SAME_BALL = 0.6
 """A circle nearer to a ball than this share of its radius, and of about its size, is that ball."""
-_ARM_MM = np.array([1.0, 1.0, 1.0, 40.0, 40.0, 40.0])
-"""Displacement in mm per mm and per rad of a pose: balls are about 40 mm off the origin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +79,7 @@ class Pipeline:
         """
         errors = list[MeasureError]()
         scale = ScaleMonitor(self.body)
-        with CameraPool(len(self._cameras)) as pool:
+        with ThreadPoolExecutor(max(min(len(self._cameras), usable_cores()), 1)) as pool:
             readable = _until_error(frame_sets, errors)
             drafts: Iterable[Draft] = (self._draft(frame_set, pool) for frame_set in readable)
             if self.stages.smoothing:
@@ -92,11 +89,11 @@ class Pipeline:
         if errors:
             raise errors[0]
 
-    def _draft(self, frame_set: FrameSet, pool: CameraPool) -> Draft:
+    def _draft(self, frame_set: FrameSet, pool: Executor) -> Draft:
         frame_set, flag = self._duplicates.without_duplicates(frame_set)
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
-            return Draft(_skipped(frame_set), None, ())
+            return Draft(_skipped(frame_set), ())
         draft = self._measure_once(frame_set, expected, pool)
         if self.stages.remeasure_after_search:
             draft = self._remeasured(frame_set, self._searched(frame_set, draft, pool), pool)
@@ -105,7 +102,7 @@ class Pipeline:
             review(self._detect(frame_set, {}, pool))
         return draft.flagged(flag) if flag else draft
 
-    def _searched(self, frame_set: FrameSet, draft: Draft, pool: CameraPool) -> Draft:
+    def _searched(self, frame_set: FrameSet, draft: Draft, pool: Executor) -> Draft:
         """Search the images in which the tracker just lost the body, so that no pose is missed."""
         if draft.measurement.searched or draft.measurement.status is Status.OK:
             return draft
@@ -115,7 +112,7 @@ class Pipeline:
         found = self._measure_once(frame_set, expected, pool)
         return draft if found.measurement.pose is None else found
 
-    def _remeasured(self, frame_set: FrameSet, draft: Draft, pool: CameraPool) -> Draft:
+    def _remeasured(self, frame_set: FrameSet, draft: Draft, pool: Executor) -> Draft:
         """Measure again in predicted windows what a search of whole frames has found."""
         measured = draft.measurement
         if not measured.searched or measured.pose is None:
@@ -127,7 +124,7 @@ class Pipeline:
         return replace(again, measurement=replace(again.measurement, searched=measured.searched))
 
     def _measure_once(
-        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: CameraPool
+        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor
     ) -> Draft:
         tracker = self.stages.tracker
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
@@ -154,10 +151,10 @@ class Pipeline:
         )
         by_solver = () if pose is None else pose.flags
         flags = () if conclusion.pose is None else conclusion.pose.flags
-        return Draft(measured, prior, tuple(flag for flag in flags if flag not in by_solver), seen)
+        return Draft(measured, tuple(flag for flag in flags if flag not in by_solver), seen)
 
     def _detect(
-        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: CameraPool
+        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor
     ) -> dict[str, list[Detection]]:
         def detect(name: str) -> list[Detection]:
             detector, image = self.stages.detectors[name], frame_set.images[name]
@@ -166,7 +163,8 @@ class Pipeline:
                 found = self._without_others(found, self._cameras[name], image.time_s)
             return self._at_row_times(found) if self.stages.per_image_timestamps else found
 
-        return pool.map(detect, frame_set.images)
+        names = list(frame_set.images)
+        return dict(zip(names, pool.map(detect, names), strict=True))
 
     def _without_others(
         self, found: list[Detection], camera: Camera, time_s: float
@@ -237,7 +235,7 @@ class Pipeline:
         if current.pose is None or seen is None or seen.simultaneous:
             return draft
         motion = motion_at(current.pose, before, after)
-        if motion is None or not _differ(motion, draft.motion, seen.times_s):
+        if motion is None:
             return draft
         positions = self._triangulate(seen, motion)
         pose = self._solve(seen, positions, motion)
@@ -255,7 +253,7 @@ class Pipeline:
             status=_status(pose),
             residuals_px=self._residuals(seen, pose, motion),
         )
-        return replace(draft, measurement=again, motion=motion)
+        return replace(draft, measurement=again)
 
     def _residuals(
         self, seen: FrameSetObservations, pose: Pose | None, prior: Motion | None
@@ -284,15 +282,6 @@ def _status(pose: Pose | None) -> Status:
     if pose is None:
         return Status.LOST
     return Status.FLAGGED if pose.flags else Status.OK
-
-
-def _differ(one: Motion, other: Motion | None, times_s: Sequence[float]) -> bool:
-    """Whether two motions displace the body differently between the images' times."""
-    if other is None:
-        return True
-    others = other.moved([*times_s, one.time_s])
-    change = one.moved(times_s) - others[:-1] + others[-1]
-    return bool(np.max(np.abs(change) * _ARM_MM) > _SAME_MOTION_MM)
 
 
 def _frames(frame_set: FrameSet) -> dict[str, int]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.estimation.pose_fit import PoseObservations
-from measure.geometry import RigidTransform, skew
-from measure.geometry.linear_kernels import inverse_2x2, invert_scaled
+from measure.geometry import RigidTransform, propagate, skew
 from measure.geometry.rotation_kernels import apply_matrix, turned
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose
 from measure.model.observations import State
@@ -20,6 +19,7 @@ from measure.model.rig_kernels import project_one
 
 _SYSTEMATIC_PX = 0.3
 """Systematic error of a detection, added to its noise: it limits differences of their weights."""
+_SINGULAR = 1e-9  # Inverse condition number below which a direction counts as undetermined
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -66,7 +66,7 @@ class FrameSetObservations:
         there = np.repeat(motion.moved(self.time_s)[None], len(s), axis=0)
         centers = s.pixels + (self._pixels(motion.world_from_body, there) - then)
         return [
-            d if d.time_s == self.time_s else d.moved(center, self.time_s)
+            d if d.time_s == self.time_s else replace(d, center_px=center, time_s=self.time_s)
             for d, center in zip(self.detections, centers, strict=True)
         ]
 
@@ -90,19 +90,13 @@ class FrameSetObservations:
         s = self.rows
         if motion.velocity_covariance is None or self.simultaneous or s is None:
             return None
-        square = motion.acceleration_square
-        return motion_covariance(
-            s.rig.rows,
-            s.points_body,
-            s.noise,
-            s.lead_s,
-            np.ascontiguousarray(pose.world_from_body.rotation),
-            np.ascontiguousarray(pose.world_from_body.translation),
-            np.ascontiguousarray(motion.velocity),
-            np.ascontiguousarray(motion.velocity_covariance),
-            np.zeros((6, 6)) if square is None else np.ascontiguousarray(square),
-            _SYSTEMATIC_PX,
-        )
+        square, inverse = self._information(pose)
+        by_velocity = inverse @ np.tensordot(s.lead_s, square, 1)
+        out = propagate(by_velocity, motion.velocity_covariance)
+        if motion.acceleration_square is not None:
+            by_acceleration = inverse @ np.tensordot(s.lead_s**2 / 2, square, 1)
+            out = out + propagate(by_acceleration, motion.acceleration_square)
+        return out
 
     def stamp_covariance(self, pose: Pose, motion: Motion) -> Floats | None:
         """Covariance (6, 6) that errors of the stamps add to a pose; None if none are known.
@@ -113,17 +107,27 @@ class FrameSetObservations:
         s = self.rows
         if s is None or not any(self.time_sds_s.values()):
             return None
-        arms = pose.world_from_body.rotate(s.points_body)
-        _, by_point = s.rig.project(arms + pose.world_from_body.translation)
-        by_pose = np.nan_to_num(np.concatenate([by_point, by_point @ -skew(arms)], axis=2))
-        weight = np.linalg.inv(s.noise + _SYSTEMATIC_PX**2 * np.eye(2))
-        square = np.einsum("nia,nij,njb->nab", by_pose, weight, by_pose)
-        by_late = np.linalg.pinv(square.sum(axis=0), hermitian=True) @ square @ motion.velocity
+        square, inverse = self._information(pose)
+        by_late = inverse @ square @ motion.velocity
         names, out = np.array(s.rig.names), np.zeros((6, 6))
         for name, sd_s in self.time_sds_s.items():
             displacement = by_late[names == name].sum(axis=0)
             out += sd_s**2 * np.outer(displacement, displacement)
         return out
+
+    def _information(self, pose: Pose) -> tuple[Floats, Floats]:
+        """What each observation tells of a pose (n, 6, 6), and the inverse (6, 6) of the sum.
+
+        The pseudo-inverse: one ball alone leaves rotations undetermined, which are then the
+        prediction's, whatever its velocity.
+        """
+        assert self.rows is not None
+        s, arms = self.rows, pose.world_from_body.rotate(self.rows.points_body)
+        _, by_point = s.rig.project(arms + pose.world_from_body.translation)
+        by_pose = np.nan_to_num(np.concatenate([by_point, by_point @ -skew(arms)], axis=2))
+        weight = np.linalg.inv(s.noise + _SYSTEMATIC_PX**2 * np.eye(2))
+        square = np.swapaxes(by_pose, 1, 2) @ weight @ by_pose
+        return square, np.linalg.pinv(square.sum(axis=0), rcond=_SINGULAR, hermitian=True)
 
     def _pixels(self, world_from_body: RigidTransform, moved: Floats) -> Floats:
         """Pixels (n, 2) of the balls if the body has moved by (n, 6) in each image."""
@@ -150,11 +154,6 @@ def warm_up(body: Body, camera: Camera) -> None:
     all_seen = FrameSetObservations.of(views, 0.0, body, {camera.name: camera})
     all_seen.at_instant(moving)
     all_seen.residuals_px(pose, moving)
-    all_seen.motion_covariance(pose, moving)
-
-
-_SINGULAR = 1e-9
-"""Inverse condition number below which scaled normal equations are taken for singular."""
 
 
 @compiled
@@ -179,74 +178,3 @@ def moved_pixels(
         place[2] = z + translation[2] + moved[i, 2]
         project_one(rig, i, place, out[i], by_point)
     return out
-
-
-@compiled
-def motion_covariance(
-    rig: RigRows,
-    points_body: Floats,
-    noise: Floats,
-    lead_s: Floats,
-    rotation: Floats,
-    translation: Floats,
-    velocity: Floats,
-    velocity_covariance: Floats,
-    acceleration_square: Floats,
-    systematic_px: float,
-) -> Floats:
-    """Covariance (6, 6) of a pose fitted to n points: see `FrameSetObservations.motion_covariance`.
-
-    Points without an image are left out.
-
-    Args:
-        rig: the n cameras.
-        points_body: (n, 3).
-        noise: (n, 2, 2) covariances of the pixels.
-        lead_s: (n,) times of the images after the pose's.
-        rotation: (3, 3) of world_from_body.
-        translation: (3,) the same.
-        velocity: (6,) mm/s and rad/s in the world.
-        velocity_covariance: (6, 6) of that.
-        acceleration_square: (6, 6) mean square of the acceleration, mm/s^2 and rad/s^2.
-        systematic_px: added to the pixels' standard deviations in quadrature.
-    """
-    normal, moved = np.zeros((6, 6)), np.zeros((6, 12))
-    pixel, by_point, slopes = np.empty(2), np.empty((2, 3)), np.empty((2, 6))
-    variance = systematic_px**2 * np.eye(2)
-    for i in range(len(rig.lenses)):
-        arm, lead = apply_matrix(rotation, points_body[i]), lead_s[i]
-        velocity_arm = np.cross(velocity[3:], arm)
-        place = arm + translation + lead * (velocity[:3] + velocity_arm)
-        project_one(rig, i, place, pixel, by_point)
-        if np.isnan(pixel[0]):
-            continue
-        slopes[:, :3] = by_point
-        for u in range(2):
-            slopes[u, 3:] = np.cross(arm, by_point[u])
-        weight = inverse_2x2(noise[i] + variance)
-        for a in range(6):
-            right = weight[0, 0] * slopes[0, a] + weight[1, 0] * slopes[1, a]
-            down = weight[0, 1] * slopes[0, a] + weight[1, 1] * slopes[1, a]
-            for b in range(6):
-                share = right * slopes[0, b] + down * slopes[1, b]
-                normal[a, b] += share
-                moved[a, b] += lead * share
-                moved[a, 6 + b] += lead * lead / 2 * share
-    by_motion = least_norm_solution(normal, moved)
-    by_velocity, by_acceleration = by_motion[:, :6].copy(), by_motion[:, 6:].copy()
-    return (
-        by_velocity @ velocity_covariance @ by_velocity.T
-        + by_acceleration @ acceleration_square @ by_acceleration.T
-    )
-
-
-@compiled
-def least_norm_solution(normal: Floats, moved: Floats) -> Floats:
-    """The least-squares solution (6, 12) of normal equations (6, 6), of least norm if singular.
-
-    One ball alone leaves rotations undetermined: they are the prediction's, whatever the velocity.
-    """
-    inverse = np.empty((6, 6))
-    if invert_scaled(normal.copy(), inverse) < 1 / _SINGULAR:
-        return inverse @ moved
-    return np.linalg.lstsq(normal, moved, _SINGULAR)[0].astype(np.float64)

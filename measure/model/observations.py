@@ -68,21 +68,6 @@ class Detection:
     outline_px: Floats | None = None
     outline_sd_px: Floats | None = None
 
-    def moved(self, center_px: Floats, time_s: float) -> Detection:
-        """The same ball where it was at another time; the outline points stay as they are seen."""
-        return Detection(
-            self.ball,
-            self.camera,
-            time_s,
-            center_px,
-            self.radius_px,
-            self.covariance_px,
-            self.score,
-            self.color_match,
-            self.outline_px,
-            self.outline_sd_px,
-        )
-
     @property
     def variance_px2(self) -> float:
         """Variance of `center_px` along an axis, the mean of both."""
@@ -94,10 +79,6 @@ class State(StrEnum):
 
     EFFECTIVE = "effective"
     SUSPENDED = "suspended"
-
-
-_EFFECTIVE = State.EFFECTIVE
-"""By a name of its own: looking it up in its class takes longer than comparing with it."""
 
 
 class Reason(StrEnum):
@@ -133,7 +114,7 @@ class BallView:
     @property
     def effective(self) -> bool:
         """Whether the detection may be used."""
-        return self.state is _EFFECTIVE and self.detection is not None
+        return self.state is State.EFFECTIVE and self.detection is not None
 
 
 @dataclass(frozen=True, eq=False, slots=True)

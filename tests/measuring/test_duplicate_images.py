@@ -59,9 +59,9 @@ def test_one_frame_in_two_sets_is_no_stall():
 
 
 def test_a_flag_stays_with_its_draft():
-    draft = Draft(measurement(0), None, ()).flagged("a stall?")
+    draft = Draft(measurement(0), ()).flagged("a stall?")
     assert draft.measurement.status is Status.FLAGGED
     assert draft.measurement.pose.flags == ("a stall?",)
     assert draft.tracker_flags == ("a stall?",)
-    lost = Draft(measurement(0, lost=True), None, ())
+    lost = Draft(measurement(0, lost=True), ())
     assert lost.flagged("a stall?") is lost

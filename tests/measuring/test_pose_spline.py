@@ -115,7 +115,7 @@ def draft(index, status=Status.OK, time_s=None):
     time_s = index / 30 if time_s is None else time_s
     known = status in (Status.OK, Status.FLAGGED)
     measured = Measurement(index, time_s, {}, (), (), pose(time_s) if known else None, status)
-    return Draft(measured, None, ())
+    return Draft(measured, ())
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 6, 7, 8, 20])

@@ -1,4 +1,4 @@
-"""The interface between the pipeline and a tracker."""
+"""The interface between the pipeline and a tracker; and the one that remembers nothing."""
 
 from __future__ import annotations
 

@@ -8,9 +8,9 @@ import numpy as np
 from scenes import RAVEN, TARGET, a_pose, ring, see
 
 from measure.geometry import RigidTransform
-from measure.measuring.tracking.paper.initialisation import choose
 from measure.measuring.tracking.paper.ray_agreement import (
     AgreementLimits,
+    choose,
     disagreeing,
     locate,
     ray_observations,

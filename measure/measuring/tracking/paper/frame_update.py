@@ -15,7 +15,7 @@ from measure.arrays import Floats
 from measure.host.settings import Settings, setting
 from measure.measuring.tracking.paper import ray_agreement
 from measure.measuring.tracking.paper.circle_state import Circle, Evidence, advance, remember
-from measure.measuring.tracking.paper.initialisation import choose
+from measure.measuring.tracking.paper.ray_agreement import choose
 from measure.measuring.tracking.tracker import Conclusion
 from measure.model import (
     Ball,

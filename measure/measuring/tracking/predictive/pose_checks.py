@@ -1,4 +1,9 @@
-"""Flags of a solved pose: soft ones lower its status, hard ones also keep it out of the filter."""
+"""Flags of a solved pose: soft ones lower its status, hard ones also keep it out of the filter.
+
+A robust fit suspends outliers and adapts to an error that all views of one ball share, so its
+residuals stay small. What remains visible: the number of suspended views, and balls that
+triangulation puts elsewhere. For errors that all balls of one camera share see `camera_bias`.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +13,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from measure.arrays import Floats
-from measure.estimation.body_layout import distances_from_body, layout_flags
+from measure.estimation.body_layout import layout_flags
 from measure.estimation.multiview import calibration_noise
-from measure.geometry import chi_square_quantile
-from measure.measuring.association import Association
+from measure.geometry import chi_square_quantile, squared_mahalanobis
+from measure.measuring.association.associate import MIN_VIEWS, Association
 from measure.measuring.tracking.predictive.motion_filter import MotionState
 from measure.model import BallPosition, BallView, Body, Camera, Detection, Pose, Rig
 from measure.model.observations import Reason, stacked_positions
@@ -201,7 +206,6 @@ def contradicting_cameras(views: Sequence[BallView]) -> list[str]:
 _ELSEWHERE_LATELY = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
 """Reasons of a ball detected elsewhere than predicted, or lately."""
 _MIN_CAMERAS = 2
-_MIN_BALL_VIEWS = 5  # The same as a search requires (`AssociationSettings.min_views`)
 
 
 def consistency_flags(
@@ -228,7 +232,7 @@ def consistency_flags(
     found += tuple(
         _balls_located_elsewhere(pose, positions, variances, body, view_bias_px, confidence)
     )
-    if len(variances) < _MIN_BALL_VIEWS:
+    if len(variances) < MIN_VIEWS:
         found += (f"only {len(variances)} sightings of balls: little would show a mistake",)
     return found
 
@@ -236,7 +240,7 @@ def consistency_flags(
 def single_view_balls(
     pose: Pose, views: Sequence[BallView], body: Body, cameras: Sequence[Camera]
 ) -> tuple[str, ...]:
-    """Covariance (2, 2) px^2 of an offset by the uncertain calibration, body and motion."""
+    """Flags of balls that one camera alone sees, though others look where they should be."""
     count = dict.fromkeys(body.names, 0)
     for view in views:
         count[view.ball] += view.effective
@@ -298,14 +302,11 @@ def _balls_located_elsewhere(
         return
     gate, placed = chi_square_quantile(confidence, 3), pose.world_from_body
     centers, covariances = stacked_positions(tuple(positions))
-    distances = distances_from_body(
-        np.ascontiguousarray(placed.rotation),
-        np.ascontiguousarray(placed.translation),
-        body.centers_of([position.ball for position in positions]),
-        centers,
-        covariances + body.center_covariance,
-    )
-    for position, (distance, gone_mm) in zip(positions, distances.tolist(), strict=True):
+    balls = body.centers_of([position.ball for position in positions])
+    off = centers - placed.apply(balls)
+    distances = squared_mahalanobis(off, covariances + body.center_covariance).tolist()
+    gone = np.linalg.norm(off, axis=1).tolist()
+    for position, distance, gone_mm in zip(positions, distances, gone, strict=True):
         if distance > gate and distance > gate * _bias_factor(position, variances, view_bias_px):
             yield (
                 f"ball {position.ball} is {gone_mm:.1f} mm from where the body puts it: "

@@ -149,27 +149,6 @@ def _fill_covariance(row: int, known: Floats, out: PredictedBalls) -> None:
     out.max_sd_px[row] = np.sqrt(max(largest, 0.0))
 
 
-@compiled
-def search_sizes(
-    balls: PredictedBalls, sigmas: float, floor_px: float, slack: float, decimals: int
-) -> Floats:
-    """Search windows of n balls, rounded: see `SearchWindows.expectations`.
-
-    Returns:
-        (n, 9) the centre in px and in the camera frame, least and most radius, least distance of
-        two circles, reach.
-    """
-    out, unit = np.empty((len(balls.radii_px), 9)), 10.0**decimals
-    for i in range(len(out)):
-        reach, size = sigmas * balls.max_sd_px[i] + floor_px, balls.radii_px[i]
-        center = balls.centers_camera[i]
-        loose = slack + reach / max(np.sqrt(np.sum(center * center)), 1e-9)
-        out[i, :2], out[i, 2:5] = balls.centers_px[i], center
-        out[i, 5], out[i, 6] = size * (1 - loose), size * (1 + loose)
-        out[i, 7], out[i, 8] = 0.5 * size, reach
-    return np.rint(out * unit) / unit
-
-
 _DECIMALS = 7
 """Of px and mm passed to detectors.
 
@@ -196,7 +175,12 @@ class SearchWindows:
             floor_px: least reach of a search.
             radius_slack: largest relative error of the outline's radius.
         """
-        sizes = search_sizes(self.balls, sigmas, floor_px, radius_slack, _DECIMALS)
+        b = self.balls
+        reach = sigmas * b.max_sd_px + floor_px
+        distance = np.maximum(np.linalg.norm(b.centers_camera, axis=1), 1e-9)
+        radii = b.radii_px * (1 + np.outer([-1, 1], radius_slack + reach / distance))
+        sizes = np.column_stack([b.centers_px, b.centers_camera, *radii, b.radii_px / 2, reach])
+        sizes = sizes.round(_DECIMALS)
         out: dict[str, list[Expectation]] = {camera: [] for camera, _ in self.keys}
         rows = zip(self.keys, sizes[:, :2], sizes[:, 2:5], sizes[:, 5:].tolist(), strict=True)
         for (camera, ball), pixel, place, (low, high, apart, around) in rows:

@@ -16,13 +16,13 @@ import numpy as np
 
 from measure import model
 from measure.arrays import Floats
-from measure.estimation.body_layout import distances_from_body, layout_flags
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.host.settings import Settings, setting
 from measure.measuring import association
-from measure.measuring.association import Association, AssociationSettings, associate, second_body
-from measure.measuring.tracking.predictive import gating, pose_checks
+from measure.measuring.association import Association, associate, second_body
+from measure.measuring.tracking.predictive import pose_checks
 from measure.measuring.tracking.predictive.camera_bias import CameraBiasMonitor
+from measure.measuring.tracking.predictive.gating import gate_observations
 from measure.measuring.tracking.predictive.identity import IdentityDoubt
 from measure.measuring.tracking.predictive.motion_filter import MotionState, initial_state, per_axis
 from measure.measuring.tracking.predictive.pose_checks import consistency_flags, single_view_balls
@@ -36,12 +36,6 @@ from measure.model.observations import Reason, State
 
 _EXTRA_SD = np.repeat([0.02, 0.0005], 3)
 """Standard deviations (mm, rad) added to a measured pose in the filter: systematic errors."""
-_REASONS = {
-    gating.AGREES: Reason.NONE,
-    gating.JUMPED: Reason.JUMPED,
-    gating.MISCOLORED: Reason.COLOR,
-    gating.CONTRADICTS: Reason.INCONSISTENT,
-}
 _SUSPICIOUS = (Reason.JUMPED, Reason.COLOR, Reason.INCONSISTENT)
 
 
@@ -232,7 +226,7 @@ class PredictiveTracker:
         self, frame_set: model.FrameSet, detections: Mapping[str, Sequence[model.Detection]]
     ) -> tuple[model.BallView, ...]:
         present = [camera for camera in self._cameras if camera.name in frame_set.images]
-        self._found = found = associate(self._body, present, detections, AssociationSettings())
+        self._found = found = associate(self._body, present, detections)
         self._recovering = {}
         if found.world_from_body is not None:
             assert found.covariance is not None
@@ -281,7 +275,7 @@ class PredictiveTracker:
             return []
         assert self._state is not None
         c = self.config
-        gated, change, covariance = gating.gate_observations(
+        reasons, self._velocity_change = gate_observations(
             windows.observations(rows, seen, c.min_color_match),
             np.array(rows),
             windows.balls,
@@ -291,9 +285,7 @@ class PredictiveTracker:
             c.systematic_px,
             chi_square_quantile(c.confidence, 2),
         )
-        if not np.isnan(change[0]):
-            self._velocity_change = change[6:], covariance[6:, 6:]
-        return [_REASONS[result] for result in gated.tolist()]
+        return reasons
 
     def _recovery(self, key: tuple[str, str], reason: Reason) -> Reason:
         """A suspended detection must be good for some frames before it is effective again."""
@@ -345,8 +337,5 @@ def _warm_up(body: model.Body, cameras: Sequence[model.Camera]) -> None:
     balls, n = windows.balls, len(windows.keys)
     noise, now = np.tile(np.eye(2), (n, 1, 1)), np.zeros(n)
     seen = GatedObservations(balls.centers_px, noise, now, np.ones(n, np.bool_))
-    gating.gate_observations(seen, np.arange(n), balls, state.covariance, 0.0, one, 0.5, 1.0)
+    gate_observations(seen, np.arange(n), balls, state.covariance, 0.0, one, 0.5, 1.0)
     state.updated(model.Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ()), one, one)
-    places = np.tile(np.eye(3), (len(body.balls), 1, 1))
-    layout_flags(body, body.names, body.centers, places, 1.0)
-    distances_from_body(still.rotation, still.translation, body.centers, body.centers, places)
