@@ -14,10 +14,10 @@ from measure.api.outputs import check_apart, check_writable
 from measure.api.profiles import build_detectors
 from measure.arrays import Bytes, Floats
 from measure.errors import ConfigError
+from measure.estimation.lateral_color import with_lateral_color
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Profile, plugin_calls
-from measure.measuring.lateral_color import with_lateral_color
 from measure.model import (
     BallColor,
     Body,

@@ -8,9 +8,15 @@ from measure.checking.duplicates import (
     stamp_findings,
 )
 from measure.checking.finding import Finding, Level, worst_first
-from measure.checking.moved_cameras import CameraMisfit, camera_misfits, misfit_findings
+from measure.checking.moved_cameras import (
+    CameraMisfit,
+    SearchSample,
+    camera_misfits,
+    misfit_findings,
+    search_sample,
+    with_velocities,
+)
 from measure.checking.overexposure import ColorlessCount, OverexposedCount
-from measure.checking.sampled_search import SearchSample, search_sample, with_velocities
 
 __all__ = [
     "CameraMisfit", "ColorlessCount", "Coverage", "DuplicateCount", "Finding", "Level",

@@ -10,8 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.checking.finding import Finding, Level
-from measure.checking.moved_cameras import CameraMisfit
-from measure.checking.sampled_search import SearchSample
+from measure.checking.moved_cameras import CameraMisfit, SearchSample
 from measure.estimation.expected_accuracy import noise_sd, tolerance_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera

@@ -7,17 +7,99 @@ means a wrong calibration, a step means that the camera was moved.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.checking.finding import Finding, Level
-from measure.checking.sampled_search import SearchSample
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
-from measure.model import Body, Camera
+from measure.geometry import RigidTransform
+from measure.measuring.association import associate
+from measure.measuring.tracking.predictive.pose_checks import disagreeing_cameras
+from measure.model import Body, Camera, Detection
+
+_RADIUS_RATIO = 1.25
+_REACH_PX = 80.0  # Largest distance of a candidate from where the ball should be
+_MAX_STEP_S = 0.12  # Longest time between two samples that give a velocity
+
+
+@dataclass(frozen=True, eq=False)
+class SearchSample:
+    """The association of one frame set."""
+
+    time_s: float  # mean time of the images
+    world_from_body: RigidTransform | None  # the pose with the highest score, or None
+    agreeing: tuple[Detection, ...]  # the detections it rests on
+    # per camera and ball, the candidate of about the right size nearest to where the ball should
+    # be, however far off.
+    nearest: tuple[Detection, ...]
+    reason: str
+    flags: tuple[str, ...] = ()
+    # those that see balls, but none where the body should appear.
+    disagreeing_cameras: tuple[str, ...] = ()
+    # (6,) in the pose's `perturb` chart, per second; zero if unknown.
+    velocity: Floats = field(default_factory=lambda: np.zeros(6))
+
+
+def with_velocities(samples: Sequence[SearchSample]) -> list[SearchSample]:
+    """Add velocities, from the nearest sample in time that has a pose, if it is near enough."""
+    out = []
+    for k, sample in enumerate(samples):
+        near = [
+            other
+            for other in samples[max(k - 1, 0) : k + 2]
+            if other is not sample
+            and other.world_from_body is not None
+            and 0 < abs(other.time_s - sample.time_s) < _MAX_STEP_S
+        ]
+        if sample.world_from_body is None or not near:
+            out.append(sample)
+            continue
+        other = min(near, key=lambda o: abs(o.time_s - sample.time_s))
+        assert other.world_from_body is not None
+        step = other.world_from_body.difference(sample.world_from_body)
+        out.append(replace(sample, velocity=step / (other.time_s - sample.time_s)))
+    return out
+
+
+def search_sample(
+    detections: Mapping[str, Sequence[Detection]],
+    body: Body,
+    cameras: Sequence[Camera],
+    time_s: float,
+) -> SearchSample:
+    """Find the body among candidates by camera name, and each camera's candidates nearest to it."""
+    found = associate(body, cameras, detections)
+    if found.world_from_body is None:
+        return SearchSample(time_s, None, (), (), found.reason)
+    centers = found.world_from_body.apply(body.centers)
+    nearest: list[Detection] = []
+    for camera in cameras:
+        pixels = camera.project(centers)
+        distances = np.linalg.norm(centers - camera.center, axis=1)
+        for k, ball in enumerate(body.balls):
+            radius = camera.intrinsics.focal_px * ball.radius_mm / distances[k]
+            near = [
+                (float(np.linalg.norm(d.center_px - pixels[k])), d)
+                for d in detections.get(camera.name, ())
+                if d.ball == ball.name and 1 / _RADIUS_RATIO < d.radius_px / radius < _RADIUS_RATIO
+            ]
+            best = min(near, key=lambda item: item[0], default=None)
+            if best is not None and best[0] < _REACH_PX:
+                nearest.append(best[1])
+    return SearchSample(
+        time_s,
+        found.world_from_body,
+        found.detections,
+        tuple(nearest),
+        "",
+        found.flags,
+        disagreeing_cameras(found, body, cameras, detections),
+    )
+
 
 _SYSTEMATIC_PX = 0.5
 _MIN_STEP_PX, _MIN_BIAS_PX = 2.5, 3.5

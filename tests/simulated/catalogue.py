@@ -8,11 +8,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
-from measure.model import Body, Camera, paper_body
+from measure.model import Ball, BallColor, Body, Camera, paper_body
 from measure.simulation.catalogue import (
-    MATT,
     WEBCAM,
-    body,
     cloth_room,
     lamps,
     motion,
@@ -29,8 +27,16 @@ from measure.simulation.trajectory import MotionLimits
 from tests.simulated.mirroring import mirrored
 from tests.simulated.rooms import coloured_room
 
+MATT = Material((1.0, 1.0, 1.0), 0.0)
 _OTHER_SEEDS = (11, 12, 13, 14)
 """Seeds of lamps, rooms, motions and noise that no scene of the catalogue has."""
+
+
+def body(name: str, balls: dict[str, tuple[float, float, float]], radius_mm: float) -> Body:
+    """A body of balls named by their colour, at the given places in mm."""
+    return Body(
+        name, tuple(Ball(c, BallColor.named(c), np.array(p), radius_mm) for c, p in balls.items())
+    )
 
 
 def four_ball_body() -> Body:

@@ -13,10 +13,8 @@ import numpy as np
 from measure.arrays import Floats
 from measure.model import Camera, Intrinsics
 from measure.simulation.catalogue import (
-    MATT,
     WEBCAM,
     WORKSPACE_MM,
-    body,
     cloth_room,
     lamps,
     motion,
@@ -29,7 +27,7 @@ from measure.simulation.scene import Scene, painted
 from measure.simulation.shading import Lamp, Lighting, Rgb
 from measure.simulation.shapes import Sphere
 from measure.simulation.trajectory import MotionLimits
-from tests.simulated.catalogue import clutter_scene, four_ball_body, rolling
+from tests.simulated.catalogue import MATT, body, clutter_scene, four_ball_body, rolling
 from tests.simulated.mirroring import mirrored
 
 _BENT = replace(WEBCAM, tone="bent", sharpen=0.7, sharpen_px=1.1)
