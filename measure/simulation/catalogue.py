@@ -1,4 +1,4 @@
-"""The scenes of the demonstration and of the conformance kit."""
+"""Parts of scenes, and the scenes of the demonstration and of the conformance kit."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
-from measure.model import Ball, BallColor, Body, Camera, Intrinsics, paper_body
+from measure.model import Body, Camera, Intrinsics, paper_body
 from measure.simulation.scene import Scene
 from measure.simulation.sensor import CameraSensor
 from measure.simulation.shading import Lamp, Lighting, Material, Rgb
@@ -16,14 +16,6 @@ from measure.simulation.trajectory import MotionLimits, Sines, random_motion
 WORKSPACE_MM = np.array([0.0, 0.0, 250.0])
 """The middle of the workspace; the world's origin is on the floor below it."""
 PLASTIC = Material((1.0, 1.0, 1.0), 0.04, 0.06)
-MATT = Material((1.0, 1.0, 1.0), 0.0)
-
-
-def body(name: str, balls: dict[str, tuple[float, float, float]], radius_mm: float) -> Body:
-    """A body of balls named by their colour, at the given places in mm."""
-    return Body(
-        name, tuple(Ball(c, BallColor.named(c), np.array(p), radius_mm) for c, p in balls.items())
-    )
 
 
 def look_at(center_mm: Floats, target_mm: Floats) -> RigidTransform:

@@ -1,4 +1,4 @@
-"""Intersection of rays with shapes, compiled.
+"""Where rays meet shapes, and the surface there, compiled.
 
 Shapes are rows of numbers (columns below), in the camera's frame, in mm.
 """

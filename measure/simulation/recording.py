@@ -1,4 +1,4 @@
-"""Writing a scene as a session folder, with its exact truth."""
+"""Writing a scene as a session folder (docs/files.md), with its exact truth."""
 
 from __future__ import annotations
 
