@@ -26,6 +26,7 @@ from measure_plugins._outline.self_calibration.response_and_blur import (
     refined_bends,
     residual_ratio,
     straight_appearance,
+    surface_bounds,
     unclipped_patches,
     useful_patches,
 )
@@ -78,10 +79,11 @@ def estimate_appearance(
     if not useful:
         return None
     start, clear = as_stated(now), unclipped_patches(useful)
-    without_lights = straight_appearance(clear, start)
+    if_straight, if_bent = surface_bounds(useful, start.table)
+    without_lights = straight_appearance(clear, start, if_straight)
     light, light_if_bent = light_equations(clear, without_lights, world_from_camera), None
     straight = with_point_lights(clear, without_lights, light)
-    bent = bent_appearance(clear, without_lights)
+    bent = bent_appearance(clear, without_lights, if_bent)
     ratio = residual_ratio(bent, without_lights, clear)
     if assume_bent or ratio < _TRY_BENT_BELOW:
         light_if_bent = light_equations(clear, bent, world_from_camera)

@@ -20,6 +20,7 @@ from measure_plugins._outline.fitting.edges import LATER_STEPS, compare
 from measure_plugins._outline.sampling.edge_crossing import clipped
 from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED, Statuses
 from measure_plugins._outline.self_calibration.patch import BallPatch, prediction_inputs
+from measure_plugins._outline.self_calibration.specularity import highlights
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Number of steps compared: both sides of the edge."""
@@ -41,11 +42,19 @@ _WORSE_WITH_GRAZING = 0.02
 left out."""
 _MIN_RAYS = 16
 _MIN_PATCHES = 4
+_GLOSSY_ABOVE = 0.37
+"""Strength of highlights above which balls are glossy. On thirty scenes it is at most 0.22 with
+matt balls, and at least 0.62 with glossy ones under lamps; satin balls and lights as large as
+windows lie between."""
 _GLOSSY_BELOW = 0.5
 _MATT_ABOVE, _MATT_ABOVE_BENT = 0.88, 0.82
 """Residuals of the glossy model per those of the matt one: below the first, matt paint is not
-refined; above the second (the third for bent curves) it is chosen, because the glossy model has
-free reflections besides and fits matt paint nearly as well."""
+refined; above, it is chosen for balls without highlights, of which glossy ones have at most 0.33
+and matt ones at least 0.76. Where highlights cannot be measured, on white balls, it is chosen above
+the second (the third for bent curves), because the glossy model has free reflections besides and
+fits matt paint nearly as well."""
+
+Bounds = tuple[float, float]
 
 
 def as_stated(now: Appearance) -> Appearance:
@@ -53,16 +62,20 @@ def as_stated(now: Appearance) -> Appearance:
     return replace(now, bends=np.zeros(BENDS), mirrors=True, point_lights=no_point_lights())
 
 
-def straight_appearance(patches: Sequence[BallPatch], start: Appearance) -> Appearance:
+def straight_appearance(
+    patches: Sequence[BallPatch], start: Appearance, bounds: Bounds
+) -> Appearance:
     """Blur and surface that fit the patches best, with the tone curve that `start` names."""
-    return _of_either_surface(patches, start, start, _STRAIGHT, (_GLOSSY_BELOW, _MATT_ABOVE))
+    return _of_either_surface(patches, start, start, _STRAIGHT, bounds)
 
 
-def bent_appearance(patches: Sequence[BallPatch], straight: Appearance) -> Appearance:
+def bent_appearance(
+    patches: Sequence[BallPatch], straight: Appearance, bounds: Bounds
+) -> Appearance:
     """Tone curve too; `straight` is the appearance without point lights."""
     bent = refined_bends(patches, straight)
     glossy, matt = (bent, straight) if straight.index == GLOSSY else (straight, bent)
-    return _of_either_surface(patches, glossy, matt, _BENT, (0.0, _MATT_ABOVE_BENT))
+    return _of_either_surface(patches, glossy, matt, _BENT, bounds)
 
 
 def refined_bends(patches: Sequence[BallPatch], start: Appearance) -> Appearance:
@@ -78,6 +91,15 @@ def residual_ratio(one: Appearance, other: Appearance, patches: Sequence[BallPat
 def unclipped_patches(patches: Sequence[BallPatch]) -> list[BallPatch]:
     """The patches without rays that meet saturated pixels, if enough are left; else all."""
     return useful_patches([_without_clipped(s) for s in patches]) or list(patches)
+
+
+def surface_bounds(patches: Sequence[BallPatch], table: Floats) -> tuple[Bounds, Bounds]:
+    """Bounds between glossy and matt balls by highlights, for straight and for bent curves."""
+    seen = highlights([(s.pixels, s.rays.points, s.rays.status == CLEAR) for s in patches], table)
+    if np.isnan(seen):
+        return (_GLOSSY_BELOW, _MATT_ABOVE), (0.0, _MATT_ABOVE_BENT)
+    least = np.inf if seen > _GLOSSY_ABOVE else _GLOSSY_BELOW
+    return (least, least), (least, least)
 
 
 def choose_grazing_reflection(patches: Sequence[BallPatch], appearance: Appearance) -> Appearance:
@@ -118,7 +140,7 @@ def _of_either_surface(
     glossy: Appearance,
     matt: Appearance,
     prior_sd: Floats,
-    bounds: tuple[float, float],
+    bounds: Bounds,
 ) -> Appearance:
     """Refine an appearance of glossy and one of matt balls, and choose between them.
 
