@@ -29,8 +29,7 @@ class Profile(BaseModel):
     # instant).
     per_image_timestamps: bool
     # whether poses wait for later ones: each is solved again with the motion of a spline through
-    # the poses before and after it, and a body just found is tracked back through the frame sets in
-    # which it was not found.
+    # the poses before and after it.
     smoothing: bool
     # whether, after a search of whole frames, the balls are measured once more.
     remeasure_after_search: bool = True
