@@ -214,7 +214,7 @@ def test_a_camera_that_was_moved_since_counts_for_little_and_is_flagged():
         assert [flag.split(" sits")[0] for flag in pose.flags] == [
             f"{ball} in cam1" for ball in RAVEN.names
         ]
-        assert np.linalg.norm(pose.world_from_body.difference(POSE)[:3]) < 0.05
+        assert np.linalg.norm(pose.world_from_body.difference(POSE)[:3]) < 0.1
 
 
 def test_uncertain_lenses_widen_the_covariance_by_what_they_do_to_the_pose():
