@@ -20,6 +20,7 @@ from measure.calibration import BoardWave, Corners, WaveState, read_board
 from measure.calibration.boards import Board, MirroredBoardError
 from measure.calibration.waving import GOAL_MM
 from measure.capture import CameraAddress, Cameras, Gathering, check_new
+from measure.capture.controls import watched
 from measure.errors import ConfigError
 from measure.model import Image, paper_body
 from measure.session import dump_toml, read_body
@@ -94,7 +95,11 @@ def _frame_sets(
     stop: threading.Event | None,
 ) -> Iterator[tuple[Iterator[list[Image]], Callable[[], None]]]:
     """The pictures of instants as they come, and what ends them."""
-    with Cameras(sources_of(cameras, [], request)) as rig, until_stopped(stop) as stopped:
+    with (
+        Cameras(sources_of(cameras, [], request)) as rig,
+        watched(rig.controls, request is not None and request.lock),
+        until_stopped(stop) as stopped,
+    ):
         gathering = Gathering([one.name for one in cameras], on_read=rig.note_read)
         rig.begin([gathering.add] if on_image is None else [gathering.add, on_image])
         ends_s = math.inf if seconds is None else time.monotonic() + seconds

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,13 +19,73 @@ _ADVISED = 4  # Pieces of advice that are shown at a time
 
 @dataclass
 class _Wave:
-    """What was taken and calibrated last; it outlives the browser's page."""
+    """What is asked for, and what was taken and calibrated last; it outlives the browser's page."""
 
+    bench: Bench
+    board: str = "chessboard_9x6_25"
+    goal_mm: float = 0.05
     capture: Path | None = None
     state: api.WaveState | None = None
     result: api.CalibrationResult | None = None
     report: Path | None = None
     printed: Path | None = None
+
+    def target(self) -> Path:
+        """The file of the board."""
+        return api.shipped_targets().get(self.board) or api.inside(self.bench.folder, self.board)
+
+    def draw(self) -> None:
+        """Draw the board, to be printed."""
+        out = self.bench.folder / f"{self.target().stem}.pdf"
+        self.printed = api.draw_target(self.target(), out)[1]
+
+    def take(self, body: Path | None) -> None:
+        """Take pictures of the board until they are enough."""
+        bench = self.bench
+        cameras, out = bench.addresses(), bench.folder / api.next_free(bench.folder, "capture")
+
+        def work(job: Job) -> str:
+            self.capture, self.state, self.result = out, None, None
+            last = api.capture_board(
+                cameras,
+                self.target(),
+                out,
+                body=body,
+                goal_mm=self.goal_mm,
+                request=bench.request,
+                on_state=lambda state: setattr(self, "state", state),
+                on_image=bench.preview.add,
+                stop=job.stop,
+            )
+            return f"{out.name}: {last.sentence() if last else 'no picture came'}"
+
+        bench.begin("watching the board", work, needs_cameras=True)
+
+    def calibrate(self, body: Path | None) -> None:
+        """Calibrate by the newest pictures."""
+        capture = self.capture or max(self.bench.folder.glob("capture-*"), default=None)
+        if capture is None:
+            raise ConfigError("there are no pictures of a board yet: wave it first")
+        out = self.bench.folder / CALIBRATION
+
+        def work(job: Job) -> str:
+            made = api.calibrate_to(out, capture, body=body, progress=job.progress)
+            self.result, self.report = made
+            return f"{capture.name} gave {CALIBRATION}; {self.result.lines()[-1]}"
+
+        self.bench.begin(f"calibrating {capture.name}", work)
+
+    def world(self) -> None:
+        """Put the world where the board lies now."""
+        folder, names = self.bench.folder, [one.name for one in self.bench.cameras]
+        out, still = folder / CALIBRATION, folder / api.next_free(folder, "world")
+
+        def work(_: Job) -> str:
+            self.bench.preview.write(names, still)
+            api.write_calibration(out, api.world_by_board(out, self.target(), still)[0])
+            return f"{CALIBRATION}: the world is the board's frame"
+
+        self.bench.begin("moving the world", work)
 
     def advice(self) -> str:
         """What to do next, in a few lines."""
@@ -45,7 +106,7 @@ class _Wave:
 
 def add(bench: Bench) -> None:
     """Add the page."""
-    wave = _Wave()
+    wave = _Wave(bench)
 
     @ui.page("/calibration", title="Calibration")
     def calibration() -> None:
@@ -60,66 +121,24 @@ def add(bench: Bench) -> None:
 
 def _steps(bench: Bench, wave: _Wave) -> None:
     there = api.contents_of(bench.folder)
-
-    def target() -> Path:
-        return api.shipped_targets().get(board.value) or api.inside(bench.folder, board.value)
-
-    def draw() -> None:
-        wave.printed = api.draw_target(target(), bench.folder / f"{target().stem}.pdf")[1]
-
+    own = [str(file.relative_to(bench.folder)) for file in there.boards]
     with ui.row().classes("line"):
-        own = [str(file.relative_to(bench.folder)) for file in there.boards]
-        boards = [*own, *api.shipped_targets()]
-        usual = "chessboard_9x6_25"
-        board = ui.select(boards, label="Board", value=own[0] if own else usual).classes("field")
-        ui.button("Draw it", icon="print", on_click=lambda: tried(draw))
+        board = ui.select([*own, *api.shipped_targets()], label="Board").classes("field")
+        board.bind_value(wave, "board")
+        ui.button("Draw it", icon="print", on_click=lambda: tried(wave.draw))
         link("PDF, to print at 100 %", bench, lambda: wave.printed)
         body = choice("Body to be measured", bench, there.bodies)
-        goal = ui.number("Goal at the body, mm", value=0.05, min=0.001, step=0.01)
+        goal = ui.number("Goal at the body, mm", min=0.001, step=0.01)
+        goal.bind_value(wave, "goal_mm")
+
+    async def with_body(work: Callable[[Path | None], None]) -> None:
+        await tried(lambda: work(next(iter(chosen(bench, body)), None)))
+
     with ui.row().classes("line"):
-        ui.button("Wave the board", icon="waving_hand", on_click=lambda: tried(take))
-        ui.button("Calibrate", icon="tune", on_click=lambda: tried(calibrate))
-        ui.button("World: the board as it lies", icon="my_location", on_click=lambda: tried(world))
-
-    def take() -> None:
-        cameras, out = bench.addresses(), bench.folder / api.next_free(bench.folder, "capture")
-        given = cameras, target(), out
-
-        def work(job: Job) -> str:
-            wave.capture, wave.state, wave.result = out, None, None
-            last = api.capture_board(
-                *given,
-                body=next(iter(chosen(bench, body)), None),
-                goal_mm=goal.value,
-                request=bench.request,
-                on_state=lambda state: setattr(wave, "state", state),
-                on_image=bench.preview.add,
-                stop=job.stop,
-            )
-            return f"{out.name}: {last.sentence() if last else 'no picture came'}"
-
-        bench.begin("watching the board", work, needs_cameras=True)
-
-    def calibrate() -> None:
-        capture = wave.capture or max(bench.folder.glob("capture-*"), default=None)
-        if capture is None:
-            raise ConfigError("there are no pictures of a board yet: wave it first")
-        measured = next(iter(chosen(bench, body)), None)
-
-        def work(job: Job) -> str:
-            out = bench.folder / CALIBRATION
-            wave.result, wave.report = api.calibrate_to(
-                out, capture, body=measured, progress=job.progress
-            )
-            return f"{capture.name} gave {CALIBRATION}; {wave.result.lines()[-1]}"
-
-        bench.begin(f"calibrating {capture.name}", work)
-
-    def world() -> None:
-        out, still = bench.folder / CALIBRATION, bench.folder / api.next_free(bench.folder, "world")
-        bench.preview.write([one.name for one in bench.cameras], still)
-        api.write_calibration(out, api.world_by_board(out, target(), still)[0])
-        bench.begin("moving the world", lambda _: f"{CALIBRATION}: the world is the board's frame")
+        ui.button("Wave the board", icon="waving_hand", on_click=lambda: with_body(wave.take))
+        ui.button("Calibrate", icon="tune", on_click=lambda: with_body(wave.calibrate))
+        world = ui.button("World: the board as it lies", icon="my_location")
+        world.on_click(lambda: tried(wave.world))
 
 
 def _progress(wave: _Wave) -> None:

@@ -51,8 +51,11 @@ class Door:
 
     def _is_foreign(self, headers: Headers) -> bool:
         host, origin = headers.get("host", ""), headers.get("origin")
-        named = urlsplit(f"//{host}").hostname
-        if origin is not None and urlsplit(origin).netloc != host:
+        try:
+            named, from_there = urlsplit(f"//{host}").hostname, urlsplit(origin or "").netloc
+        except ValueError:  # no addresses at all
+            return True
+        if origin is not None and from_there != host:
             return True
         return not self._token and named not in _LOOPBACK
 

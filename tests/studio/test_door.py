@@ -45,6 +45,8 @@ def answer(token="", kind="http", query="", **headers):
         ({"origin": f"http://{HERE}"}, True),
         ({"host": "evil.example:8080"}, False),  # a name that was led to 127.0.0.1
         ({"host": ""}, False),
+        ({"host": "[::1"}, False),
+        ({"origin": "http://[bad"}, False),
         ({"origin": "http://evil.example"}, False),
         ({"origin": "http://127.0.0.1:9999"}, False),  # another program's page on this machine
         ({"origin": "null"}, False),
