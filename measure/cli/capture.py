@@ -21,7 +21,7 @@ def capture(
     board: str,
     out: OutFile,
     body: Path | None = None,
-    goal_mm: float = 0.05,
+    goal_mm: float = 0.2,
     capture: CaptureOptions = CaptureOptions(),
     json: JsonFlag = False,
 ) -> int:

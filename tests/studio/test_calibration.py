@@ -37,7 +37,7 @@ def test_from_a_waved_board_to_cameras_that_are_right(tmp_path, rng):
             press(page, "draw it")
             page.wait_for(f"!!document.querySelector('a[href$=\"{TARGET}.pdf\"]')", 20)
             page.evaluate("document.querySelector('input[aria-label^=Goal]').select()")
-            page.send("Input.insertText", text="0.6")
+            page.send("Input.insertText", text="2")
             press(page, "wave the board")
             page.wait_for(f"{ADVICE}.includes('cam0: ')", 30)
             page.wait_for(f"/capture-1: .*good enough/.test({FOOT})", 120)
