@@ -1,4 +1,4 @@
-"""Light along rays, interpolated between pixels."""
+"""Light along rays: interpolated, or that of the nearest pixel."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from measure_plugins._outline.sampling.rays import (
     RaySet,
     frame_about,
     sample,
+    sample_nearest,
 )
 
 HEIGHT, WIDTH = 30, 40
@@ -45,6 +46,14 @@ def test_rays_that_leave_the_picture_are_marked_and_hidden_ones_left_alone(pictu
     assert rays.status.tolist() == [CLEAR, OUT_OF_IMAGE, OCCLUDED, OUT_OF_IMAGE]
     np.testing.assert_allclose(light[:, :, 0], TABLE[picture[15, 18:23].T], atol=1e-6)
     assert not np.any(light[:, :, 1:])
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.0), (0.4, 0.0), (-0.4, 0.3), (0.49, -0.49)])
+def test_between_pixels_the_nearest_counts(picture, off):
+    points = np.array([(12.0, 9.0), (30.0, 21.0)])
+    light, _ = sample(picture, TABLE, rays_at(points, ACROSS), STEPS, _all(STEPS), len(STEPS))
+    nearest = sample_nearest(picture, TABLE, rays_at(points + off, ACROSS), STEPS)
+    np.testing.assert_allclose(nearest, light, atol=1e-6)
 
 
 def test_values_are_interpolated_between_pixels() -> None:

@@ -271,6 +271,24 @@ def _shift(shifts: Floats, color: int, i: int) -> tuple[float, float]:
 
 
 @compiled
+def sample_nearest(image: Bytes, table: Floats, rays: RaySet, steps: Floats) -> Floats:
+    """Light (3, m, n) of the nearest pixels; else as `sample`."""
+    points, normals = rays.points, rays.normals
+    m, n = len(steps), len(points)
+    light = np.zeros((3, m, n))
+    _mark_outside(image, rays, steps)
+    for j in range(m):
+        for i in range(n):
+            if rays.status[i] != CLEAR:
+                continue
+            x = np.uint64(points[i, 0] + steps[j] * normals[i, 0] + 0.5)
+            y = np.uint64(points[i, 1] + steps[j] * normals[i, 1] + 0.5)
+            for c in range(3):
+                light[c, j, i] = table[image[y, x, c]]
+    return light
+
+
+@compiled
 def _mark_outside(image: Bytes, rays: RaySet, steps: Floats) -> None:
     """Set the status of clear rays that leave the picture to OUT_OF_IMAGE."""
     points, normals = rays.points, rays.normals
