@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import cv2
@@ -47,13 +49,21 @@ class FoxgloveSink(Sink):
         make, kinds = self._foxglove.Channel, self._channels
         self._context = context = self._foxglove.Context()  # channels live as long as it
         known = {"message_backlog_size": self.config.backlog, "context": context}
-        self._server = self._foxglove.start_server(name=self.run.name, **self._place, **known)
+        self._server = self._start(self._place | known)
         made = [make(_topic(*stream), context=context) for stream in self.run.streams]
         made += [kinds.FrameTransformChannel("/tf", context=context)]
         made += [kinds.LogChannel("/marks", context=context)]
         for camera in self.run.cameras:
             made += [kinds.CompressedImageChannel(f"/{camera.name}/image", context=context)]
         self._topics = {one.topic(): one for one in made}
+
+    def _start(self, options: Mapping[str, Any]) -> Any:
+        """A server; that of an earlier opening frees its port a little after it was stopped."""
+        for _ in range(10):
+            with suppress(RuntimeError):
+                return self._foxglove.start_server(name=self.run.name, **options)
+            time.sleep(0.1)
+        return self._foxglove.start_server(name=self.run.name, **options)
 
     def send(self, pose: SentPose) -> None:
         """The columns of the pose, and its transform if there is one."""

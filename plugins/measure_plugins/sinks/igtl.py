@@ -72,7 +72,8 @@ class IgtlSink(Sink):
         self.undelivered += not all(took)
 
     def close(self) -> None:
-        """Close all connections."""
+        """Close all connections; what a receiver has not taken whole is lost to it."""
+        self.undelivered += any(self._clients.values())
         for one in (*self._clients, *filter(None, [self._server])):
             one.close()
         self._clients, self._server = {}, None
