@@ -18,7 +18,8 @@ pytestmark = [
     pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine"),
 ]
 ADVICE = "document.querySelector('[data-advice]')?.innerText"
-TIMES_S = np.arange(0.0, 45.0, 0.75)
+TIMES_S, PERIOD_S = np.arange(0.0, 45.0, 0.75), 0.4
+"""Pictures of one instant are told apart from the next ones on a busy machine, too."""
 
 
 def jpegs(camera, rng):
@@ -28,7 +29,7 @@ def jpegs(camera, rng):
 def test_from_a_waved_board_to_cameras_that_are_right(tmp_path, rng):
     """Advice comes till nothing is missing; what is calibrated then is what was rendered."""
     true = rig()
-    cameras = {c.name: ServedCamera(jpegs(c, rng), 0.2, stamps=True) for c in true}
+    cameras = {c.name: ServedCamera(jpegs(c, rng), PERIOD_S, stamps=True) for c in true}
     with serving(cameras) as addresses, Chromium(1280, 800) as page:
         words = [f"{name}={address}" for name, address in addresses.items()]
         with studio(tmp_path, *words) as address:
@@ -40,7 +41,7 @@ def test_from_a_waved_board_to_cameras_that_are_right(tmp_path, rng):
             page.send("Input.insertText", text="2")
             press(page, "wave the board")
             page.wait_for(f"{ADVICE}.includes('cam0: ')", 30)
-            page.wait_for(f"/capture-1: .*good enough/.test({FOOT})", 120)
+            page.wait_for(f"/capture-1: .*good enough/.test({FOOT})", 200)
             assert page.evaluate(ADVICE) == "enough"
             press(page, "calibrate$")
             page.wait_for("!!document.querySelector('a[href$=\"calibration.html\"]')", 120)
