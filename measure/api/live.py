@@ -30,7 +30,7 @@ from measure.api.recording import (
 )
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
-from measure.api.sending import SendOptions, open_sending, sent_pose
+from measure.api.sending import Sending, SendOptions, open_sending, sent_pose
 from measure.api.warming_up import warm_pipeline
 from measure.capture import (
     CameraAddress,
@@ -42,10 +42,11 @@ from measure.capture import (
     check_new,
 )
 from measure.capture.controls import watched
+from measure.capture.sources import Source
 from measure.errors import ConfigError, RunError
 from measure.host import EventMark, Registry, SentPose, SentRun
-from measure.measuring import Measurement, Profile, burn_in, relative_measurements
-from measure.model import FrameSet, Image
+from measure.measuring import Measurement, Pipeline, Profile, burn_in, relative_measurements
+from measure.model import Body, Camera, FrameSet, Image
 from measure.processes import share_heaps
 from measure.results import Provenance, RunWriter, Summary, refuse_other_writer
 from measure.session import Calibration, check_bodies, check_unit, read_body
@@ -126,23 +127,10 @@ def live(
     """
     share_heaps()
     options = options or LiveOptions()
-    check_seconds(options.seconds)
-    if len(cameras) < 2:
-        raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
-    calibrated = calibrated_cameras(cameras, calibration)
-    measured = [read_body(body) for body in bodies]
-    check_bodies(measured, options.reference, "--body")
-    cure = 'write mm, or into another program\'s file its unit, as in unit = "m"'
-    check_unit(Calibration(tuple(calibrated)), measured[0], str(calibration), cure)
-    profile = profile.model_copy(update={"smoothing": False})
-    sent = SentRun(out.resolve().name, tuple(measured), tuple(calibrated), options.reference)
-    sending = open_sending(options, registry, sent)
-    sources = sources_of(cameras, calibrated, options.request)
-    _check_outputs(out, options, [one.name for one in cameras])
-    warm = [warm_pipeline(profile, registry, body, calibrated) for body in measured]
-    made_from = _made_from(options, calibration, measured, profile, registry)
-    rig = Cameras(sources, sizes_of(calibrated), on_outage)
-    gathering = Gathering([camera.name for camera in calibrated], on_read=rig.note_read)
+    prepared = _prepare(cameras, out, calibration, bodies, profile, registry, options)
+    sent, names = prepared.sent, [camera.name for camera in prepared.sent.cameras]
+    rig = Cameras(prepared.sources, sizes_of(sent.cameras), on_outage)
+    gathering = Gathering(names, on_read=rig.note_read)
     with ExitStack() as stack:
         stack.enter_context(rig)
         lock = options.request is not None and options.request.lock
@@ -150,10 +138,10 @@ def live(
         stop = stack.enter_context(until_stopped(options.stop))
         takers = [gathering.add] if options.on_image is None else [gathering.add, options.on_image]
         if options.record is not None:
-            given = rig.addresses, measured, calibrated, options.reference, controls.settings
+            given = rig.addresses, sent.bodies, sent.cameras, sent.reference, controls.settings
             takers.append(stack.enter_context(Recorder(options.record, *given)).add)
-        stack.enter_context(sending)
-        outputs = _LiveOutputs(stack, out, made_from, sent, options)
+        sending = stack.enter_context(prepared.sending)
+        outputs = _LiveOutputs(stack, out, prepared.made_from, sent, options)
 
         def on_mark(time_s: float, what: str) -> None:
             mark_event(out, what, time_s)
@@ -162,8 +150,7 @@ def live(
         stack.enter_context(marks_received(options.marks, rig.clock_s, on_mark))
         rig.begin(takers)
         frame_sets = _frame_sets(gathering, rig, stop, options.seconds)
-        build = partial(build_pipeline, profile, registry)
-        pipelines = [burn_in.calibrated(one, build, frame_sets) for one in warm]
+        pipelines = [burn_in.calibrated(one, prepared.build, frame_sets) for one in prepared.warm]
         for one in pipelines:
             burn_in.enter_realtime(one.stages.detectors)
         state, watch = None, _PaceMeter(gathering, rig)
@@ -177,6 +164,50 @@ def live(
         rig.check()
         summary = outputs.finish()
     return LiveEnd(summary, state, tuple(controls.changed.values()), sending.counts)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """What a live measurement needs, all of it checked, before a camera is asked for pictures."""
+
+    sent: SentRun
+    sending: Sending
+    sources: Mapping[str, Source]
+    build: Callable[[Body, Sequence[Camera]], Pipeline]
+    warm: Sequence[Pipeline]  # of each body
+    made_from: Provenance
+
+
+def _prepare(
+    cameras: Sequence[CameraAddress],
+    out: Path,
+    calibration: Path,
+    bodies: Sequence[Path],
+    profile: Profile,
+    registry: Registry,
+    options: LiveOptions,
+) -> _Prepared:
+    check_seconds(options.seconds)
+    if len(cameras) < 2:
+        raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
+    calibrated = calibrated_cameras(cameras, calibration)
+    measured = [read_body(body) for body in bodies]
+    check_bodies(measured, options.reference, "--body")
+    cure = 'write mm, or into another program\'s file its unit, as in unit = "m"'
+    check_unit(Calibration(tuple(calibrated)), measured[0], str(calibration), cure)
+    profile = profile.model_copy(update={"smoothing": False})
+    sent = SentRun(out.resolve().name, tuple(measured), tuple(calibrated), options.reference)
+    sending = open_sending(options, registry, sent)
+    sources = sources_of(cameras, calibrated, options.request)
+    _check_outputs(out, options, [one.name for one in cameras])
+    return _Prepared(
+        sent,
+        sending,
+        sources,
+        partial(build_pipeline, profile, registry),
+        [warm_pipeline(profile, registry, body, calibrated) for body in measured],
+        _made_from(options, calibration, measured, profile, registry),
+    )
 
 
 def _made_from(options: LiveOptions, *known: Any) -> Provenance:
