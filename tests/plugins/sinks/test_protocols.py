@@ -61,7 +61,7 @@ def test_a_client_that_comes_back_receives_again(run, registry, scheme):
     thread.start()
     try:
         for _ in range(2):
-            with receiving(where) as received:
+            with receiving(where, goes_on=True) as received:
                 wait_for(lambda got=received: len(got) > 100)
     finally:
         over.set()
