@@ -58,10 +58,10 @@ async def tried(work: Callable[[], _T]) -> _T | None:
     try:
         return await run.io_bound(work)
     except MeasureError as problem:
-        told = str(problem)
+        text = str(problem)
     except OSError as problem:
-        told = f"{problem.filename or ''}: {problem.strerror}"
-    ui.notify(told, type="negative", multi_line=True, timeout=10_000)
+        text = f"{problem.filename or ''}: {problem.strerror}"
+    ui.notify(text, type="negative", multi_line=True, timeout=10_000)
     return None
 
 
