@@ -24,7 +24,6 @@ from measure.session import open_session
 from measure.simulation import Renderer, Scene
 from measure.simulation.catalogue import webcam_scene
 from measure_plugins._outline.appearance.model import Appearance, first_appearance
-from measure_plugins._outline.appearance.render import Ambient
 from measure_plugins._outline.fitting.edges import (
     INSIDE_PX,
     LATER_STEPS,
@@ -35,8 +34,12 @@ from measure_plugins._outline.fitting.edges import (
     corrected_edges,
     find_edge_pairs,
 )
-from measure_plugins._outline.sampling.rays import TOGETHER, cast_rays, frame_about
-from measure_plugins._outline.self_calibration.patch import BallPatch, prediction_inputs
+from measure_plugins._outline.sampling.rays import cast_rays, frame_about
+from measure_plugins._outline.self_calibration.patch import (
+    BallPatch,
+    grouped_inputs,
+    prediction_inputs,
+)
 from measure_plugins._outline.self_calibration.schedule import Cone, SelfCalibration
 
 Row = Sequence[float] | Floats
@@ -216,10 +219,8 @@ def outline() -> str:
     shown = [(renderer.picture(t, k), _cones(scene, camera, t)) for k, t in enumerate((0.0, 0.4))]
     appearance = _estimated(camera, shown)
     patch = _patch(camera, shown[0][0], shown[0][1][0])
-    inputs = prediction_inputs(patch, appearance)
-    ambient = Ambient(*(np.ascontiguousarray(some[:, ::TOGETHER]) for some in inputs.ambient))
-    found = find_edge_pairs(inputs._replace(ambient=ambient))
-    edges = corrected_edges(found)
+    found = find_edge_pairs(grouped_inputs(patch, appearance))
+    edges = corrected_edges(found, appearance.correction_weight)
     bias = np.repeat(found.predicted[1], RAYS // found.predicted.shape[1])
     typical = int(np.nanargmin(np.abs(bias - np.nanmedian(bias))))
     middle = [float(np.nanmedian(some)) for some in (found.at[1], bias, edges.shifts)]

@@ -24,19 +24,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PointObservations:
-    """The pixels of one ball centre in n cameras.
+    """The pixels of one ball centre in n cameras."""
 
-    Attributes:
-        rig: the n cameras.
-        pixels: (n, 2).
-        noise: (n, 2, 2) covariances of the pixels alone, px^2.
-        shifts: (n, 3) where each camera saw the point, relative to where it is at the common
-            instant, mm, world: zero for simultaneous pictures.
-    """
-
-    rig: Rig
-    pixels: Floats
-    noise: Floats
+    rig: Rig  # the n cameras
+    pixels: Floats  # (n, 2)
+    noise: Floats  # (n, 2, 2) covariances of the pixels alone, px^2
+    # (n, 3) where each camera saw the point, relative to where it is at the common instant, mm,
+    # world: zero for simultaneous pictures.
     shifts: Floats
 
     @classmethod

@@ -21,26 +21,17 @@ FITTED, PARALLEL, BEHIND = 0, 1, 2
 
 
 class PointFit(NamedTuple):
-    """A point fitted to n pixels.
+    """A point fitted to n pixels."""
 
-    Attributes:
-        point: (3,) mm.
-        covariance: (3, 3) mm^2 from the weights, calibration included.
-        residuals_px: (n, 2).
-        chi_square: of the residuals under the weights, 2 n - 3 degrees of freedom.
-        disagreement: (n,) squared Mahalanobis distances of the residuals, 2 degrees of freedom
-            each, with `extra_px` added to the pixels' standard deviations.
-        distances_mm: (n,) of the rays from the point.
-        end: FITTED, PARALLEL or BEHIND.
-    """
-
-    point: Floats
-    covariance: Floats
-    residuals_px: Floats
-    chi_square: float
+    point: Floats  # (3,) mm
+    covariance: Floats  # (3, 3) mm^2 from the weights, calibration included
+    residuals_px: Floats  # (n, 2)
+    chi_square: float  # of the residuals under the weights, 2 n - 3 degrees of freedom
+    # (n,) squared Mahalanobis distances of the residuals, 2 degrees of freedom each, with
+    # `extra_px` added to the pixels' standard deviations.
     disagreement: Floats
-    distances_mm: Floats
-    end: int
+    distances_mm: Floats  # (n,) of the rays from the point
+    end: int  # FITTED, PARALLEL or BEHIND
 
 
 @compiled
@@ -78,23 +69,14 @@ def fit_point_rows(
 
 
 class PointFits(NamedTuple):
-    """k points fitted to n pixels, see `PointFit`.
+    """k points fitted to n pixels, see `PointFit`."""
 
-    Attributes:
-        points: (k, 3).
-        covariances: (k, 3, 3).
-        chi_squares: (k,).
-        disagreements: (k,) sums of those of the point's pixels.
-        distances_mm: (n,).
-        ends: (k,).
-    """
-
-    points: Floats
-    covariances: Floats
-    chi_squares: Floats
-    disagreements: Floats
-    distances_mm: Floats
-    ends: Ints
+    points: Floats  # (k, 3)
+    covariances: Floats  # (k, 3, 3)
+    chi_squares: Floats  # (k,)
+    disagreements: Floats  # (k,) sums of those of the point's pixels
+    distances_mm: Floats  # (n,)
+    ends: Ints  # (k,)
 
     @property
     def fitted(self) -> Bools:

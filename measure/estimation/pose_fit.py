@@ -30,23 +30,14 @@ _MIN_EIGENVALUE_RATIO = 1e-9
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseObservations:
-    """Pixels of ball centres in pictures, as arrays of n rows.
+    """Pixels of ball centres in pictures, as arrays of n rows."""
 
-    Attributes:
-        rig: the camera of each row.
-        points_body: (n, 3) the ball's centre in the body.
-        balls: (n,) index of the ball.
-        pixels: (n, 2).
-        noise: (n, 2, 2) covariances of the pixels, px^2.
-        lead_s: (n,) time of the picture after the common instant.
-    """
-
-    rig: Rig
-    points_body: Floats
-    balls: Ints
-    pixels: Floats
-    noise: Floats
-    lead_s: Floats
+    rig: Rig  # the camera of each row
+    points_body: Floats  # (n, 3) the ball's centre in the body
+    balls: Ints  # (n,) index of the ball
+    pixels: Floats  # (n, 2)
+    noise: Floats  # (n, 2, 2) covariances of the pixels, px^2
+    lead_s: Floats  # (n,) time of the picture after the common instant
 
     @classmethod
     def of(
@@ -93,18 +84,12 @@ class PoseObservations:
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """A fitted pose.
+    """A fitted pose."""
 
-    Attributes:
-        world_from_body: at the common instant.
-        covariance: (6, 6) in its `perturb` chart.
-        residuals_px: (n, 2).
-        distances: (n,) squared Mahalanobis distances of the residuals, 2 degrees of freedom each.
-    """
-
-    world_from_body: RigidTransform
-    covariance: Floats
-    residuals_px: Floats
+    world_from_body: RigidTransform  # at the common instant
+    covariance: Floats  # (6, 6) in its `perturb` chart
+    residuals_px: Floats  # (n, 2)
+    # (n,) squared Mahalanobis distances of the residuals, 2 degrees of freedom each.
     distances: Floats
 
 

@@ -20,16 +20,11 @@ from measure.errors import DegenerateGeometryError
 
 @dataclass(frozen=True, eq=False)
 class Cone:
-    """A right circular cone with its apex at the camera.
+    """A right circular cone with its apex at the camera."""
 
-    Attributes:
-        axis: (3,) unit vector towards the sphere's centre.
-        half_angle: in rad, 0 < half_angle < pi / 2.
-        covariance: (3, 3) of `axis / cos(half_angle)`, from the bearings' scatter; None if unknown.
-    """
-
-    axis: Floats
-    half_angle: float
+    axis: Floats  # (3,) unit vector towards the sphere's centre
+    half_angle: float  # in rad, 0 < half_angle < pi / 2
+    # (3, 3) of `axis / cos(half_angle)`, from the bearings' scatter; None if unknown.
     covariance: Floats | None = None
 
     def center(self, radius_mm: float) -> Floats:

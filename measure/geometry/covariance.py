@@ -42,15 +42,10 @@ def chi_square_quantile(probability: float, degrees: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class UncertainTransform:
-    """A rigid transform with the covariance of its `perturb` chart.
+    """A rigid transform with the covariance of its `perturb` chart."""
 
-    Attributes:
-        transform: target_from_source, a single one.
-        covariance: (6, 6), order x y z (mm), rotation vector (rad), both in the target frame.
-    """
-
-    transform: RigidTransform
-    covariance: Floats
+    transform: RigidTransform  # target_from_source, a single one
+    covariance: Floats  # (6, 6), order x y z (mm), rotation vector (rad), both in the target frame
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", floats("covariance", self.covariance, 6, 6))

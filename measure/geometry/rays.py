@@ -67,17 +67,11 @@ def nearest_point(rays: Rays, weights: Floats | None = None) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Midpoints:
-    """The common perpendiculars of the pairs of lines that are not nearly parallel.
+    """The common perpendiculars of the pairs of lines that are not nearly parallel."""
 
-    Attributes:
-        pairs: (p, 2) rows of the lines of each pair.
-        points: (..., p, 3) midpoints in mm.
-        gaps: (..., p) lengths of the perpendiculars in mm.
-    """
-
-    pairs: Ints
-    points: Floats
-    gaps: Floats
+    pairs: Ints  # (p, 2) rows of the lines of each pair
+    points: Floats  # (..., p, 3) midpoints in mm
+    gaps: Floats  # (..., p) lengths of the perpendiculars in mm
 
     @property
     def mean(self) -> Floats:

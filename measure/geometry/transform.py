@@ -50,15 +50,12 @@ class RigidTransform:
 
     Points go `points_target = rotation @ points_source + translation`; transforms compose by
     cancelling the inner names: `world_from_body = world_from_camera @ camera_from_body`.
-
-    Attributes:
-        rotation: (..., 3, 3) proper rotation matrices; taken as they are, so that composing stays
-            cheap. What comes from outside enters by `from_quat_wxyz` or `from_matrix`.
-        translation: (..., 3) in mm. Batch axes of the two are broadcast against each other.
     """
 
+    # (..., 3, 3) proper rotation matrices; taken as they are, so that composing stays cheap. What
+    # comes from outside enters by `from_quat_wxyz` or `from_matrix`.
     rotation: Floats
-    translation: Floats
+    translation: Floats  # (..., 3) in mm. Batch axes of the two are broadcast against each other
 
     def __post_init__(self) -> None:
         if _is_single(self.rotation, self.translation):

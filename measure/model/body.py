@@ -22,19 +22,12 @@ MIN_BREADTH_RATIO = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Ball:
-    """One ball.
+    """One ball."""
 
-    Attributes:
-        name: unique within the body.
-        color: how its pixels are recognised.
-        center_mm: (3,) in the body frame.
-        radius_mm: of the sphere.
-    """
-
-    name: str
-    color: BallColor
-    center_mm: Floats
-    radius_mm: float
+    name: str  # unique within the body
+    color: BallColor  # how its pixels are recognised
+    center_mm: Floats  # (3,) in the body frame
+    radius_mm: float  # of the sphere
 
     def __post_init__(self) -> None:
         object.__setattr__(

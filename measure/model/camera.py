@@ -25,25 +25,20 @@ MIN_DEPTH_MM = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Intrinsics:
-    """The lens and sensor of one camera.
+    """The lens and sensor of one camera."""
 
-    Attributes:
-        size_wh: image width and height in px.
-        matrix: (3, 3) camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in px, pixel centres
-            at integers.
-        distortion: (8,) k1 k2 p1 p2 k3 k4 k5 k6, or of a fisheye k1 k2 k3 k4 and four zeros;
-            shorter OpenCV vectors (0, 4 or 5) are filled with zeros.
-        covariance: (12, 12) of fx fy cx cy and the eight coefficients, or None if unknown.
-        model: the lens model.
-        lateral_color: how much larger about the principal point its red and blue pictures are than
-            the green one, less 1; None if unknown.
-    """
-
-    size_wh: tuple[int, int]
+    size_wh: tuple[int, int]  # image width and height in px
+    # (3, 3) camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in px, pixel centres at
+    # integers.
     matrix: Floats
+    # (8,) k1 k2 p1 p2 k3 k4 k5 k6, or of a fisheye k1 k2 k3 k4 and four zeros; shorter OpenCV
+    # vectors (0, 4 or 5) are filled with zeros.
     distortion: Floats = field(default_factory=lambda: np.zeros(8))
+    # (12, 12) of fx fy cx cy and the eight coefficients, or None if unknown.
     covariance: Floats | None = None
-    model: Projection = "pinhole"
+    model: Projection = "pinhole"  # the lens model
+    # how much larger about the principal point its red and blue pictures are than the green one,
+    # less 1; None if unknown.
     lateral_color: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -183,26 +178,19 @@ def check_coefficients(distortion: Sequence[float] | Floats, model: Projection) 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A calibrated camera.
+    """A calibrated camera."""
 
-    Attributes:
-        name: as in the session and the calibration.
-        intrinsics: lens and sensor.
-        world_from_camera: pose; the camera looks along its +z, x right, y down.
-        pose_covariance: (6, 6) of `world_from_camera` in its `perturb` chart, or None if unknown.
-        reprojection_rms_px: of the calibration, or None if unknown.
-        pose_intrinsics_covariance: (6, 12) covariance of the two, or None if unknown. A fit of both
-            leaves them strongly correlated: a turned camera and a moved principal point look alike.
-        readout_s: rolling shutter: time from the first row's exposure to the last's, negative if
-            from the bottom up; an image's time is that of its middle row.
-    """
-
-    name: str
-    intrinsics: Intrinsics
-    world_from_camera: RigidTransform
+    name: str  # as in the session and the calibration
+    intrinsics: Intrinsics  # lens and sensor
+    world_from_camera: RigidTransform  # pose; the camera looks along its +z, x right, y down
+    # (6, 6) of `world_from_camera` in its `perturb` chart, or None if unknown.
     pose_covariance: Floats | None = None
-    reprojection_rms_px: float | None = None
+    reprojection_rms_px: float | None = None  # of the calibration, or None if unknown
+    # (6, 12) covariance of the two, or None if unknown. A fit of both leaves them strongly
+    # correlated: a turned camera and a moved principal point look alike.
     pose_intrinsics_covariance: Floats | None = None
+    # rolling shutter: time from the first row's exposure to the last's, negative if from the bottom
+    # up; an image's time is that of its middle row.
     readout_s: float = 0.0
 
     def __post_init__(self) -> None:

@@ -20,17 +20,12 @@ _LEAST_SATURATION = 45
 
 @dataclass(frozen=True)
 class ColorRange:
-    """A box in OpenCV's 8-bit HSV (hue 0-179, may wrap round) or Lab.
+    """A box in OpenCV's 8-bit HSV (hue 0-179, may wrap round) or Lab."""
 
-    Attributes:
-        space: "hsv" or "lab".
-        low: three lower bounds, inclusive; `low[0] > high[0]` is a hue range across red.
-        high: three upper bounds, inclusive.
-    """
-
-    space: ColorSpace
+    space: ColorSpace  # "hsv" or "lab"
+    # three lower bounds, inclusive; `low[0] > high[0]` is a hue range across red.
     low: tuple[int, int, int]
-    high: tuple[int, int, int]
+    high: tuple[int, int, int]  # three upper bounds, inclusive
 
     def mask(self, converted: Bytes) -> Bytes:
         """255 where pixels (h, w, 3), already in `space`, lie in the range."""
@@ -43,13 +38,9 @@ class ColorRange:
 
 @dataclass(frozen=True, eq=False)
 class ConvertedImage:
-    """An image with its conversions to colour spaces, each made when first used.
+    """An image with its conversions to colour spaces, each made when first used."""
 
-    Attributes:
-        bgr: (h, w, 3) pixels.
-    """
-
-    bgr: Bytes
+    bgr: Bytes  # (h, w, 3) pixels
     _known: dict[ColorSpace, Bytes] = field(default_factory=dict)
 
     def to(self, space: ColorSpace) -> Bytes:
@@ -62,15 +53,10 @@ class ConvertedImage:
 
 @dataclass(frozen=True)
 class BallColor:
-    """A ball's colour: any of some ranges.
+    """A ball's colour: any of some ranges."""
 
-    Attributes:
-        name: as the body file gives it ("green"), or "samples" / "range".
-        ranges: the boxes; a pixel matches if it is in one of them.
-    """
-
-    name: str
-    ranges: tuple[ColorRange, ...]
+    name: str  # as the body file gives it ("green"), or "samples" / "range"
+    ranges: tuple[ColorRange, ...]  # the boxes; a pixel matches if it is in one of them
 
     def mask(self, bgr: Bytes) -> Bytes:
         """255 where pixels of a BGR image (h, w, 3) match."""

@@ -14,24 +14,16 @@ FULL = 250
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """One camera's picture.
+    """One camera's picture."""
 
-    Attributes:
-        camera: the camera's name.
-        frame: its number in that camera's recording.
-        time_s: the middle of its exposure, on the session's clock.
-        decode: returns the pixels, BGR (h, w, 3) uint8; called at most once, maybe in another
-            thread.
-        encoded: the original JPEG bytes where there are any (for the viewer), else None.
-        time_sd_s: standard deviation of `time_s`, where its stamps show one.
-    """
-
-    camera: str
-    frame: int
-    time_s: float
+    camera: str  # the camera's name
+    frame: int  # its number in that camera's recording
+    time_s: float  # the middle of its exposure, on the session's clock
+    # returns the pixels, BGR (h, w, 3) uint8; called at most once, maybe in another thread.
     decode: Callable[[], Bytes]
+    # the original JPEG bytes where there are any (for the viewer), else None.
     encoded: bytes | None = None
-    time_sd_s: float = 0.0
+    time_sd_s: float = 0.0  # standard deviation of `time_s`, where its stamps show one
     _turn: Lock = field(default_factory=Lock, init=False, repr=False)
     _decoded: list[Bytes] = field(default_factory=list, init=False, repr=False)
 
@@ -54,14 +46,8 @@ class Image:
 
 @dataclass(frozen=True, eq=False)
 class FrameSet:
-    """The images of all cameras that belong to one instant; a camera without one is left out.
+    """The images of all cameras that belong to one instant; a camera without one is left out."""
 
-    Attributes:
-        index: number of the set in the session.
-        time_s: the instant.
-        images: by camera name.
-    """
-
-    index: int
-    time_s: float
-    images: dict[str, Image]
+    index: int  # number of the set in the session
+    time_s: float  # the instant
+    images: dict[str, Image]  # by camera name

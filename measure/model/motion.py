@@ -13,23 +13,15 @@ from measure.geometry import RigidTransform
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A pose at a time, with a velocity in the pose's `perturb` chart.
+    """A pose at a time, with a velocity in the pose's `perturb` chart."""
 
-    Attributes:
-        world_from_body: the pose at `time_s`.
-        time_s: the instant.
-        velocity: (6,) mm/s and rad/s, both in the world.
-        covariance: (6, 6) of the pose at `time_s`; None if unknown.
-        velocity_covariance: (6, 6) of the velocity; None if unknown.
-        acceleration_square: (6, 6) mean square of the acceleration that `moved` leaves out, in
-            mm/s^2 and rad/s^2; None if it leaves out none, or that is unknown.
-    """
-
-    world_from_body: RigidTransform
-    time_s: float
-    velocity: Floats
-    covariance: Floats | None = None
-    velocity_covariance: Floats | None = None
+    world_from_body: RigidTransform  # the pose at `time_s`
+    time_s: float  # the instant
+    velocity: Floats  # (6,) mm/s and rad/s, both in the world
+    covariance: Floats | None = None  # (6, 6) of the pose at `time_s`; None if unknown
+    velocity_covariance: Floats | None = None  # (6, 6) of the velocity; None if unknown
+    # (6, 6) mean square of the acceleration that `moved` leaves out, in mm/s^2 and rad/s^2; None if
+    # it leaves out none, or that is unknown.
     acceleration_square: Floats | None = None
 
     def __post_init__(self) -> None:

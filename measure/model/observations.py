@@ -16,56 +16,37 @@ from measure.geometry import RigidTransform
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Expectation:
-    """Where to look for one ball; a ball without one is searched for in the whole frame.
+    """Where to look for one ball; a ball without one is searched for in the whole frame."""
 
-    Attributes:
-        ball: name of the ball.
-        center_px: (2,) predicted projection of the sphere's centre.
-        radius_px: (smallest, largest) outline radius.
-        min_distance_px: least distance between the centres of two circles of one colour.
-        reach_px: how far the true centre may be from `center_px`.
-        tolerance: 1 normally; larger while tracking recovers (the paper's raised parameter range).
-        center_camera: (3,) predicted sphere centre in the camera frame in mm, where a 3-D
-            prediction exists.
-    """
-
-    ball: str
-    center_px: Floats
-    radius_px: tuple[float, float]
-    min_distance_px: float
-    reach_px: float
+    ball: str  # name of the ball
+    center_px: Floats  # (2,) predicted projection of the sphere's centre
+    radius_px: tuple[float, float]  # (smallest, largest) outline radius
+    min_distance_px: float  # least distance between the centres of two circles of one colour
+    reach_px: float  # how far the true centre may be from `center_px`
+    # 1 normally; larger while tracking recovers (the paper's raised parameter range).
     tolerance: float = 1.0
+    # (3,) predicted sphere centre in the camera frame in mm, where a 3-D prediction exists.
     center_camera: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Detection:
-    """One ball in one image.
+    """One ball in one image."""
 
-    Attributes:
-        ball: name of the ball.
-        camera: name of the camera.
-        time_s: middle of the exposure.
-        center_px: (2,) projection of the *sphere's centre* where the detector knows it, else the
-            circle's centre.
-        radius_px: mean outline radius.
-        covariance_px: (2, 2) of `center_px`.
-        score: 0 to 1, the detector's own confidence.
-        color_match: share of samples inside the border that have the ball's colour, or NaN if not
-            checked.
-        outline_px: (n, 2) outline points in the distorted image, in any order, or None.
-        outline_sd_px: (n,) their standard deviations along the normal; None if `outline_px` is.
-    """
-
-    ball: str
-    camera: str
-    time_s: float
+    ball: str  # name of the ball
+    camera: str  # name of the camera
+    time_s: float  # middle of the exposure
+    # (2,) projection of the *sphere's centre* where the detector knows it, else the circle's
+    # centre.
     center_px: Floats
-    radius_px: float
-    covariance_px: Floats
-    score: float = 1.0
+    radius_px: float  # mean outline radius
+    covariance_px: Floats  # (2, 2) of `center_px`
+    score: float = 1.0  # 0 to 1, the detector's own confidence
+    # share of samples inside the border that have the ball's colour, or NaN if not checked.
     color_match: float = float("nan")
+    # (n, 2) outline points in the distorted image, in any order, or None.
     outline_px: Floats | None = None
+    # (n,) their standard deviations along the normal; None if `outline_px` is.
     outline_sd_px: Floats | None = None
 
     @property
@@ -95,21 +76,13 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BallView:
-    """One ball in one camera at one instant.
+    """One ball in one camera at one instant."""
 
-    Attributes:
-        ball: name of the ball.
-        camera: name of the camera.
-        state: whether the detection is used.
-        reason: why it is suspended; `Reason.NONE` if it is effective.
-        detection: what was detected, if anything.
-    """
-
-    ball: str
-    camera: str
-    state: State
-    reason: Reason = Reason.NONE
-    detection: Detection | None = None
+    ball: str  # name of the ball
+    camera: str  # name of the camera
+    state: State  # whether the detection is used
+    reason: Reason = Reason.NONE  # why it is suspended; `Reason.NONE` if it is effective
+    detection: Detection | None = None  # what was detected, if anything
 
     @property
     def effective(self) -> bool:
@@ -119,25 +92,16 @@ class BallView:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BallPosition:
-    """A ball's centre in the world.
+    """A ball's centre in the world."""
 
-    Attributes:
-        ball: name of the ball.
-        time_s: the instant.
-        center: (3,) in mm.
-        covariance: (3, 3) in mm^2.
-        cameras: names of the cameras used.
-        residuals_mm: distance of each used camera's ray from `center`, in the order of `cameras`.
-        dropped: cameras left out as outliers.
-    """
-
-    ball: str
-    time_s: float
-    center: Floats
-    covariance: Floats
-    cameras: tuple[str, ...]
+    ball: str  # name of the ball
+    time_s: float  # the instant
+    center: Floats  # (3,) in mm
+    covariance: Floats  # (3, 3) in mm^2
+    cameras: tuple[str, ...]  # names of the cameras used
+    # distance of each used camera's ray from `center`, in the order of `cameras`.
     residuals_mm: Floats
-    dropped: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()  # cameras left out as outliers
 
     @property
     def rms_mm(self) -> float:
@@ -147,30 +111,19 @@ class BallPosition:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pose:
-    """The body's pose.
+    """The body's pose."""
 
-    Attributes:
-        time_s: the instant it holds for.
-        world_from_body: the pose.
-        covariance: (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the
-            world.
-        residual_mm: RMS distance between positions and the body's balls, NaN if not applicable.
-        rms_px: RMS reprojection error, of a moving body at the time of each image.
-        cameras: names of the cameras used.
-        balls: names of the balls used.
-        flags: reasons to doubt it, empty if none.
-        by_camera: by name, derivatives (6, 18) of the pose by a camera's pose and intrinsics (see
-            `Camera.covariance`), of which `covariance` holds the share; None if not known.
-    """
-
-    time_s: float
-    world_from_body: RigidTransform
+    time_s: float  # the instant it holds for
+    world_from_body: RigidTransform  # the pose
+    # (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the world.
     covariance: Floats
-    residual_mm: float
-    rms_px: float
-    cameras: tuple[str, ...]
-    balls: tuple[str, ...]
-    flags: tuple[str, ...] = ()
+    residual_mm: float  # RMS distance between positions and the body's balls, NaN if not applicable
+    rms_px: float  # RMS reprojection error, of a moving body at the time of each image
+    cameras: tuple[str, ...]  # names of the cameras used
+    balls: tuple[str, ...]  # names of the balls used
+    flags: tuple[str, ...] = ()  # reasons to doubt it, empty if none
+    # by name, derivatives (6, 18) of the pose by a camera's pose and intrinsics (see
+    # `Camera.covariance`), of which `covariance` holds the share; None if not known.
     by_camera: Mapping[str, Floats] | None = None
 
     @property

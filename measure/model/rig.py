@@ -16,44 +16,26 @@ from measure.model.camera import MIN_DEPTH_MM, Camera
 
 
 class RigRows(NamedTuple):
-    """The arrays of n cameras as compiled code takes them, see `Rig`.
+    """The arrays of n cameras as compiled code takes them, see `Rig`."""
 
-    Attributes:
-        lenses: (n, 16) see `Intrinsics.row`.
-        reach: (n,) ideal radii beyond which the lens models see nothing.
-        rotation: (n, 3, 3) of world_from_camera.
-        centers: (n, 3) projection centres in the world, mm.
-        covariances: (n, 18, 18) of pose and intrinsics; zero where unknown.
-        min_depth: points nearer to a camera's plane than this, mm, have no image.
-    """
-
-    lenses: Floats
-    reach: Floats
-    rotation: Floats
-    centers: Floats
-    covariances: Floats
-    min_depth: float
+    lenses: Floats  # (n, 16) see `Intrinsics.row`
+    reach: Floats  # (n,) ideal radii beyond which the lens models see nothing
+    rotation: Floats  # (n, 3, 3) of world_from_camera
+    centers: Floats  # (n, 3) projection centres in the world, mm
+    covariances: Floats  # (n, 18, 18) of pose and intrinsics; zero where unknown
+    min_depth: float  # points nearer to a camera's plane than this, mm, have no image
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras as arrays, one row per camera; a camera may stand in it more than once.
+    """Cameras as arrays, one row per camera; a camera may stand in it more than once."""
 
-    Attributes:
-        names: (n,) of the cameras.
-        lenses: (n, 16) see `Intrinsics.row`.
-        reach: (n,) ideal radii beyond which the lens models see nothing.
-        rotation: (n, 3, 3) world_from_camera rotations.
-        centers: (n, 3) projection centres in the world, mm.
-        covariances: (n, 18, 18) of pose and intrinsics (see `Camera`); zero where unknown.
-    """
-
-    names: tuple[str, ...]
-    lenses: Floats
-    reach: Floats
-    rotation: Floats
-    centers: Floats
-    covariances: Floats
+    names: tuple[str, ...]  # (n,) of the cameras
+    lenses: Floats  # (n, 16) see `Intrinsics.row`
+    reach: Floats  # (n,) ideal radii beyond which the lens models see nothing
+    rotation: Floats  # (n, 3, 3) world_from_camera rotations
+    centers: Floats  # (n, 3) projection centres in the world, mm
+    covariances: Floats  # (n, 18, 18) of pose and intrinsics (see `Camera`); zero where unknown
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> Rig:

@@ -108,6 +108,7 @@ class KnownBalls:
             appearance.encoding,
             self._lens,
             appearance.point_lights,
+            appearance.correction_weight,
         )
 
     def cones(self, expected: Sequence[Expectation]) -> Floats:

@@ -96,7 +96,7 @@ class OutlineDetector(SelfCalibratingDetector):
         return self._self_calibration.estimate
 
     def fuse_calibration(self, states: Sequence[object]) -> None:
-        """Fuse point lights and a common tone curve over all cameras."""
+        """Fuse point lights, correction weight and a common tone curve over all cameras."""
         from measure_plugins._outline.self_calibration.estimate import (
             AppearanceEstimate,
             has_common_response,

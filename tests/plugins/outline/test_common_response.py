@@ -23,7 +23,7 @@ def estimates_of(shares, bends):
     start = first_appearance("srgb")
     dark = LightEquations(np.zeros((0, 4)), np.zeros((0, 0)), np.zeros(0))
     return [
-        AppearanceEstimate(start, False, left, np.array(b), dark, None)
+        AppearanceEstimate(start, False, left, np.array(b), dark, None, np.zeros(2))
         for left, b in zip(shares, bends, strict=True)
     ]
 

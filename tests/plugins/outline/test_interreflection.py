@@ -10,7 +10,13 @@ from measure_plugins._outline.appearance.interreflection import (
     ball_reflection_shares,
     balls_behind,
 )
-from measure_plugins._outline.appearance.model import GLOSSY, MATT, Appearance, first_appearance
+from measure_plugins._outline.appearance.model import (
+    DEFAULT_CORRECTION_WEIGHT,
+    GLOSSY,
+    MATT,
+    Appearance,
+    first_appearance,
+)
 from measure_plugins._outline.appearance.point_lights import shade_by_lights
 from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, radial_tables
 from measure_plugins._outline.appearance.render import Ambient
@@ -146,7 +152,7 @@ def _mean_error(view, known):
     ambient = Ambient(lit, used)
     inputs = PredictionInputs(pixels, appearance.table, appearance.encoding, rays, tables, ambient)
     found = find_edge_pairs(inputs)
-    edges = corrected_edges(found)
+    edges = corrected_edges(found, DEFAULT_CORRECTION_WEIGHT)
     before = np.repeat(shares[0] > 0, RAYS // len(middles))
     good = before & (np.abs(edges.shifts) < 2.0)
     assert np.count_nonzero(good) > 8

@@ -2,7 +2,7 @@
 
 What is seen beside a ball is mirrored at grazing angles, and taken to extend as far as the surface
 deflects the line of sight. Another ball ends: where it does follows from its place and size.
-See docs/explanation/outline.md, formula 20.
+See docs/explanation/outline.md, formula 21.
 """
 
 from __future__ import annotations

@@ -26,6 +26,8 @@ from measure_plugins._outline.appearance.sensor import encoding
 GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
 """Refractive index of lacquer and clear plastic; and of paint without a boundary that reflects."""
 BENDS = 3
+DEFAULT_CORRECTION_WEIGHT = 0.9
+"""Correction weight before it is estimated how well predictions agree with pictures."""
 _LEVELS = np.arange(256) / 255.0
 _FLATTEST = 1e-4
 
@@ -42,6 +44,8 @@ class Appearance:
     mirrors: bool = True
     # (k, 4) in the camera frame, see `point_lights`; none if not known.
     point_lights: Floats = field(default_factory=no_point_lights)
+    # share of the predicted bias of edges that is subtracted, see `trust`.
+    correction_weight: float = DEFAULT_CORRECTION_WEIGHT
 
     @cached_property
     def table(self) -> Floats:

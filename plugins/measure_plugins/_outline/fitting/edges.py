@@ -46,7 +46,6 @@ SEARCH_PX = 3.0
 _BACKGROUND_PX = (3.0, 6.0)
 _MIN_COLOR_SHARE = 0.35
 """Share of the edges' contrast that must be chromatic for edges to be found without grey."""
-_CORRECTION_WEIGHT = 0.9  # Share subtracted of the difference of a ray's bias from the median
 _CORRECTION_SD_SHARE = 0.25
 """Standard deviation of a ray's correction, per difference from the outline's median."""
 _SYSTEMATIC_PX = 0.25
@@ -94,7 +93,7 @@ class EdgePairs(NamedTuple):
 
 
 @folded
-def corrected_edges(found: EdgePairs) -> Edges:
+def corrected_edges(found: EdgePairs, correction_weight: float) -> Edges:
     """Mean of both edges of a ray, each corrected by its predicted bias (formula 13).
 
     Errors of the prediction move the two differently: their mean is better than either, and half
@@ -102,6 +101,7 @@ def corrected_edges(found: EdgePairs) -> Edges:
 
     Args:
         found: from `find_edge_pairs`.
+        correction_weight: share subtracted of the difference of a ray's bias from the median.
 
     Returns:
         The edges; contrast in picture values from 0 to 1.
@@ -113,7 +113,7 @@ def corrected_edges(found: EdgePairs) -> Edges:
         for i in range(n):
             own = found.predicted[k, i // TOGETHER] - common
             sd = found.sd[k, i]
-            shifts[k, i] = found.at[k, i] - common - _CORRECTION_WEIGHT * own
+            shifts[k, i] = found.at[k, i] - common - correction_weight * own
             variances[k, i] = sd * sd + _CORRECTION_SD_SHARE * own * _CORRECTION_SD_SHARE * own
     return _joined(shifts, variances, found.contrast, found.inside, found.outside)
 

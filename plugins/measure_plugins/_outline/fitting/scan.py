@@ -52,6 +52,7 @@ class CameraImage(NamedTuple):
     encoding: Singles  # see `sensor.encoding`
     lens: Floats  # (14,) lens row
     point_lights: Floats  # (k, 4) in the camera frame, see `appearance.point_lights`
+    correction_weight: float  # see `Appearance`
 
 
 class OutlineSearch(NamedTuple):
@@ -131,7 +132,7 @@ def scan_with_model(
     found = find_edge_pairs(
         PredictionInputs(view.pixels, view.table, view.encoding, rays, tables, ambient)
     )
-    edges = corrected_edges(found)
+    edges = corrected_edges(found, view.correction_weight)
     clear, use = _usable(edges, rays.status, search.min_contrast, SEARCH_PX)
     return EdgeScan(frame, rays, scale, edges, clear, use)
 

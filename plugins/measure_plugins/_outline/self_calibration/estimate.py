@@ -1,12 +1,12 @@
 """One estimate of a camera's tone curve, blur and lights, and of the surface of the balls.
 
-See docs/explanation/outline.md, formula 21.
+See docs/explanation/outline.md, formula 22.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,10 @@ from measure_plugins._outline.self_calibration.response_and_blur import (
     surface_bounds,
     unclipped_patches,
     useful_patches,
+)
+from measure_plugins._outline.self_calibration.trust import (
+    correction_weight_of,
+    prediction_agreement,
 )
 
 _TRY_BENT_BELOW = 0.9
@@ -54,6 +58,7 @@ class AppearanceEstimate:
     bends: Floats  # (3,) of the bent curve, accepted or not, see `bent_table`
     light: LightEquations  # equations of the point lights, by the straight curve
     light_if_bent: LightEquations | None  # the same by the bent one; None where that was not tried
+    agreement: Floats  # (2,) of seen and predicted edges, see `prediction_agreement`
 
     def light_by(self, bent: bool) -> LightEquations | None:
         """Equations of the point lights by the bent curve, or by the straight one."""
@@ -93,7 +98,9 @@ def estimate_appearance(
         ratio = residual_ratio(bent, straight, clear)
     is_bent = ratio < (_BENT_BELOW_TOGETHER if assume_bent else _BENT_BELOW)
     chosen = choose_grazing_reflection(useful, bent if is_bent else straight)
-    return AppearanceEstimate(chosen, is_bent, ratio, bent.bends, light, light_if_bent)
+    agreement = prediction_agreement(useful, chosen)
+    chosen = replace(chosen, correction_weight=correction_weight_of([agreement]))
+    return AppearanceEstimate(chosen, is_bent, ratio, bent.bends, light, light_if_bent, agreement)
 
 
 _MIN_BEND_EVIDENCE = 0.11
@@ -104,7 +111,7 @@ a mild bend in a cluttered room, which stays unnoticed."""
 
 
 def has_common_response(estimates: Sequence[AppearanceEstimate]) -> bool:
-    """Whether the cameras have a common response curve other than the standard's (formula 21).
+    """Whether the cameras have a common response curve other than the standard's (formula 22).
 
     That is tested where every camera's curve is nearer to their median than that is to the
     standard's.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from measure.arrays import Bytes, Floats
 from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.appearance.point_lights import lights_about, shade_by_lights
 from measure_plugins._outline.appearance.render import Ambient
 from measure_plugins._outline.fitting.edges import PredictionInputs
-from measure_plugins._outline.sampling.rays import RaySet
+from measure_plugins._outline.sampling.rays import TOGETHER, RaySet
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,3 +40,10 @@ def prediction_inputs(patch: BallPatch, appearance: Appearance) -> PredictionInp
     return PredictionInputs(
         patch.pixels, appearance.table, appearance.encoding, patch.own_rays(), tables, ambient
     )
+
+
+def grouped_inputs(patch: BallPatch, appearance: Appearance) -> PredictionInputs:
+    """The same with the ambient light between rays that are predicted together."""
+    inputs = prediction_inputs(patch, appearance)
+    between = [0.5 * (some[:, ::TOGETHER] + some[:, 1::TOGETHER]) for some in inputs.ambient]
+    return inputs._replace(ambient=Ambient(*map(np.ascontiguousarray, between)))

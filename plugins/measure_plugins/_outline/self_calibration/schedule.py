@@ -24,11 +24,14 @@ from measure_plugins._outline.self_calibration.estimate import (
 )
 from measure_plugins._outline.self_calibration.patch import BallPatch
 from measure_plugins._outline.self_calibration.point_lights import (
-    LightEquations,
     light_equations,
     solve_point_lights,
 )
 from measure_plugins._outline.self_calibration.response_and_blur import misfits
+from measure_plugins._outline.self_calibration.trust import (
+    correction_weight_of,
+    prediction_agreement,
+)
 
 _FIRST_ESTIMATE = 2  # Number of the picture of the first estimate; the one before is only kept
 _INTERVAL_FACTOR = 4
@@ -56,7 +59,7 @@ class SelfCalibration:
         self._estimates, self._latest_s = 0, -np.inf
         self._estimate: AppearanceEstimate | None = None
         self._assume_bent = False
-        self._lights_of_others: list[LightEquations] = []
+        self._others: list[AppearanceEstimate] = []
 
     @property
     def settled(self) -> bool:
@@ -79,9 +82,7 @@ class SelfCalibration:
         """
         if self._estimate is None:
             return now
-        others = [one for one in estimates if one is not self._estimate]
-        lights = [one.light_by(bent or one.bent) for one in others]
-        self._lights_of_others = [light for light in lights if light is not None]
+        self._others = [one for one in estimates if one is not self._estimate]
         self._assume_bent |= bent
         if bent and not self._estimate.bent:
             return self._estimation(now)()
@@ -126,16 +127,20 @@ class SelfCalibration:
         return run
 
     def _fused(self, estimate: AppearanceEstimate) -> Appearance:
-        """An estimate, with point lights by the other cameras too."""
+        """An estimate, with point lights and correction weight by the other cameras too."""
         own, now = estimate.light_by(estimate.bent), estimate.appearance
-        if own is not None and self._lights_of_others and len(now.point_lights) > 0:
-            now = replace(now, point_lights=solve_point_lights([own, *self._lights_of_others]))
-        return now
+        lights = [one.light_by(self._assume_bent or one.bent) for one in self._others]
+        of_others = [light for light in lights if light is not None]
+        if own is not None and of_others and len(now.point_lights) > 0:
+            now = replace(now, point_lights=solve_point_lights([own, *of_others]))
+        weight = correction_weight_of(one.agreement for one in (estimate, *self._others))
+        return now if weight == now.correction_weight else replace(now, correction_weight=weight)
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
         """Compile what an estimation runs."""
         patches = [self._patch(pixels, cone, [])]
         misfits(patches, now)
+        prediction_agreement(patches, now)
         solve_point_lights([light_equations(patches, now, self._world_from_camera)])
 
     def _patch(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> BallPatch:
