@@ -15,7 +15,6 @@ from measure.api.cameras import cameras
 from measure.api.capturing import capture_board
 from measure.api.check import SessionCheck, check
 from measure.api.correcting import (
-    check_estimates,
     correct_simulated_robot,
     estimate_file,
     estimate_online,
@@ -28,8 +27,9 @@ from measure.api.demo import Demo, demo, render_demo
 from measure.api.detecting import (
     Lens,
     SeenPicture,
-    check_new_body,
     detect,
+    draw,
+    drawings,
     parse_click,
     parse_expectation,
     write_sampled_body,
@@ -39,6 +39,7 @@ from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_bodies, measure_session
 from measure.api.metrology import RestsSoFar, TipResult, pivot, rests, world, world_by_board
+from measure.api.outputs import new_folder, output
 from measure.api.pairing import make_dataset, register, simulate_dataset, simulate_recording
 from measure.api.playing import PlayEnd, PlayOptions, play
 from measure.api.previewing import (
@@ -51,6 +52,7 @@ from measure.api.previewing import (
 )
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.recording import (
+    CaptureOptions,
     CaptureRequest,
     RecordedSession,
     camera_names,
@@ -81,21 +83,20 @@ from measure.session import read_body, read_calibration, write_calibration
 
 __all__ = [
     "Accepted", "BallWatch", "CalibrationResult", "CameraAddress", "CameraCount", "CameraNow",
-    "CaptureRequest", "Control", "Demo", "DeviceControls", "FoundBody", "FoundCamera", "Lens",
-    "LiveEnd", "LiveOptions", "LiveState", "Measurement", "Mode", "Outcome", "PictureFacts",
-    "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry",
-    "RestsSoFar", "RunOptions", "SeenPicture", "SessionCheck", "SweepOptions", "SyncedClock",
-    "TipResult", "TrainOptions", "WatchedCamera", "WaveState", "ablate", "accept", "body_names",
-    "build_pipeline", "calibrate", "calibrate_to", "camera_names", "cameras", "capture_board",
-    "check", "check_estimates", "check_new_body", "choose", "compare", "contents_of",
-    "correct_simulated_robot", "demo", "detect", "draw_target", "estimate_file",
-    "estimate_online", "evaluate", "evaluation_tables", "events", "export", "find_body", "inside",
-    "live", "load_profile", "make_dataset", "mark_event", "measure_bodies", "measure_session",
-    "model_file", "next_free", "parse_cameras", "parse_click", "parse_controls",
-    "parse_expectation", "parse_images", "parse_settings", "parse_size", "pivot", "play",
-    "profile_names", "read_body", "read_calibration", "record", "refine", "register",
-    "render_demo", "report", "rests", "rezero", "robot_recording", "run", "run_many",
-    "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording", "sweep", "sync",
-    "train", "usb_notes", "web_viewer", "world", "world_by_board", "write_calibration",
-    "write_sampled_body",
+    "CaptureOptions", "CaptureRequest", "Control", "Demo", "DeviceControls", "FoundBody",
+    "FoundCamera", "Lens", "LiveEnd", "LiveOptions", "LiveState", "Measurement", "Mode", "Outcome",
+    "PictureFacts", "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "RefineResult",
+    "Registry", "RestsSoFar", "RunOptions", "SeenPicture", "SessionCheck", "SweepOptions",
+    "SyncedClock", "TipResult", "TrainOptions", "WatchedCamera", "WaveState", "ablate", "accept",
+    "body_names", "build_pipeline", "calibrate", "calibrate_to", "camera_names", "cameras",
+    "capture_board", "check", "choose", "compare", "contents_of", "correct_simulated_robot", "demo",
+    "detect", "draw", "draw_target", "drawings", "estimate_file", "estimate_online", "evaluate",
+    "evaluation_tables", "events", "export", "find_body", "inside", "live", "load_profile",
+    "make_dataset", "mark_event", "measure_bodies", "measure_session", "model_file", "new_folder",
+    "next_free", "output", "parse_cameras", "parse_click", "parse_controls", "parse_expectation",
+    "parse_images", "parse_settings", "parse_size", "pivot", "play", "profile_names", "read_body",
+    "read_calibration", "record", "refine", "register", "render_demo", "report", "rests", "rezero",
+    "robot_recording", "run", "run_many", "shipped_model", "shipped_targets", "simulate_dataset",
+    "simulate_recording", "sweep", "sync", "train", "usb_notes", "web_viewer", "world",
+    "world_by_board", "write_calibration", "write_sampled_body",
 ]  # fmt: skip

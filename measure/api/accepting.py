@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from measure.api.metrology import told_of
-from measure.api.outputs import check_page_writable
+from measure.api.outputs import output
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError, RunError
 from measure.metrology.lengths import Acceptance, MeasuredLengths, between_rests, judge
@@ -33,7 +33,11 @@ class Accepted:
 
 
 def accept(
-    run: Path | str, lengths: Path | str, page: Path | None = None, body: str | None = None
+    run: Path | str,
+    lengths: Path | str,
+    page: Path | None = None,
+    body: str | None = None,
+    overwrite: bool = False,
 ) -> Accepted:
     """Compare lengths of a run with known ones.
 
@@ -43,30 +47,33 @@ def accept(
             theirs, one of which is the run's reference.
         page: a report to write.
         body: the name of the body that rests, in a run of several.
+        overwrite: replace a report that is there.
 
     Raises:
         RunError: no run, or a row that names no rest and no ball.
     """
-    path = Path(lengths)
-    table, runs = _read(path), read_runs(Path(run))
+    with output(page, overwrite) as file:
+        opened, accepted = _accepted(Path(run), Path(lengths), body)
+        if page is not None:
+            from measure.viewing.report.acceptance_report import acceptance_report
+
+            file.write_text(acceptance_report(opened, *vars(accepted).values()), "utf-8")
+    return accepted
+
+
+def _accepted(folder: Path, path: Path, body: str | None) -> tuple[Run, Accepted]:
+    table, runs = _read(path), read_runs(folder)
     ends = [*zip(table.words["from"], table.words["to"], strict=True)]
     bodies = frozenset(one.body.name for one in runs if one.several)
     only_bodies = all({*pair} <= bodies for pair in ends)
-    opened = runs[0] if only_bodies and body is None else one_of(runs, Path(run), body)
-    if page is not None:
-        check_page_writable(page)
+    opened = runs[0] if only_bodies and body is None else one_of(runs, folder, body)
     rests = rests_of(opened)
     order, measured = _measure(path, zip(table.lines, ends, strict=True), opened, rests, bodies)
     known = table.columns["length_mm"]
     sd = table.columns.get("sd_mm", np.zeros(len(known)))
     names = [" - ".join(ends[k]) for k in order]
     judged = judge(names, measured, known[order], sd[order], opened.contradictions)
-    promises = _promises(judged, opened, rests)
-    if page is not None:
-        from measure.viewing.report.acceptance_report import acceptance_report
-
-        page.write_text(acceptance_report(opened, judged, promises), "utf-8")
-    return Accepted(judged, promises)
+    return opened, Accepted(judged, _promises(judged, opened, rests))
 
 
 def _read(path: Path) -> NumberTable:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import measure
-from measure.api.outputs import check_apart, check_page_writable, check_replaceable
+from measure.api.outputs import check_apart, output
 from measure.calibration import (
     Method,
     RigCalibration,
@@ -23,7 +23,7 @@ from measure.calibration import (
 from measure.errors import ConfigError
 from measure.model import paper_body
 from measure.processes import Progress
-from measure.session import Calibration, check_unit, read_body, read_calibration, write_calibration
+from measure.session import Calibration, check_unit, read_body, write_calibration
 from measure.session.calibrations import Format
 
 
@@ -68,7 +68,7 @@ def calibrate(
 
 
 def calibrate_to(
-    output: Path,
+    out: Path,
     capture: Path,
     method: Method = "joint",
     body: Path | None = None,
@@ -76,41 +76,45 @@ def calibrate_to(
     *,
     file_format: Format = "triball",
     report: Path | None = None,
+    overwrite: bool = False,
 ) -> tuple[CalibrationResult, Path]:
     """`calibrate`, written to a file, with the report as a page beside it.
 
     Args:
-        file_format: of the output; only "triball" holds covariances and the judgement.
-        report: the page; beside the output, ending in .html, if omitted.
+        file_format: of the file; only "triball" holds covariances and the judgement.
+        report: the page; beside the file, ending in .html, if omitted.
+        overwrite: replace what is there.
 
     Returns:
         The result, and the page.
     """
     from measure.viewing.report.calibration_report import calibration_report
 
-    page = output.with_suffix(".html") if report is None else report
-    check_replaceable(output, read_calibration, "calibration")
-    check_page_writable(page)
-    check_apart(output, page)
-    result = calibrate(capture, method, body, progress)
-    write_calibration(output, result.calibration, file_format)
-    made = calibration_report(capture.name or str(capture), result.rig, result.verdict)
-    page.write_text(made, encoding="utf-8")
+    page = out.with_suffix(".html") if report is None else report
+    check_apart(out, page)
+    with output(out, overwrite) as file, output(page, overwrite) as written:
+        result = calibrate(capture, method, body, progress)
+        write_calibration(file, result.calibration, file_format)
+        made = calibration_report(capture.name or str(capture), result.rig, result.verdict)
+        written.write_text(made, encoding="utf-8")
     return result, page
 
 
-def draw_target(target: Path | str, output: Path | str | None = None) -> tuple[Sheet, Path]:
+def draw_target(
+    target: Path | str, out: Path | str | None = None, overwrite: bool = False
+) -> tuple[Sheet, Path]:
     """Draw a target file as a printable sheet; gives the sheet and the file written.
 
     Args:
         target: TOML of a chessboard, ChArUco board, marker field or body: its path, or the name of
             one that comes with the program (see `shipped_targets`).
-        output: .pdf or .svg; the target's name with .pdf in the current folder if omitted.
+        out: .pdf or .svg; the target's name with .pdf in the current folder if omitted.
+        overwrite: replace what is there.
     """
-    path = find_target(Path(target))
-    written = Path(f"{path.stem}.pdf") if output is None else Path(output)
-    sheet = target_sheet(path)
-    write_sheet(sheet, written)
+    written = Path(out or f"{Path(target).stem}.pdf")
+    with output(written, overwrite) as file:
+        sheet = target_sheet(find_target(Path(target)))
+        write_sheet(sheet, file)
     return sheet, written
 
 

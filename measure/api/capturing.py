@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import math
 import shutil
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from measure.api.calibrating import find_target
-from measure.api.recording import CaptureRequest, check_seconds, sources_of, until_stopped
+from measure.api.outputs import check_folder, new_folder
+from measure.api.recording import CaptureOptions, OpenRig, open_rig, sources_of
 from measure.calibration import BoardWave, Corners, WaveState, read_board
 from measure.calibration.boards import Board, MirroredBoardError
 from measure.calibration.waving import GOAL_MM
-from measure.capture import CameraAddress, Cameras, Gathering, check_new
-from measure.capture.controls import watched
+from measure.capture import CameraAddress, Gathering, check_names
 from measure.errors import ConfigError
 from measure.model import Image, paper_body
 from measure.session import dump_toml, read_body
 
+_MARK = "capture.toml"
 _QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 98)
 
 
@@ -32,27 +30,21 @@ def capture_board(
     cameras: Sequence[CameraAddress],
     board: Path | str,
     out: Path,
+    options: CaptureOptions | None = None,
     *,
     body: Path | None = None,
     goal_mm: float = GOAL_MM,
-    request: CaptureRequest | None = None,
-    seconds: float | None = None,
-    on_state: Callable[[WaveState], None] | None = None,
-    on_image: Callable[[Image], None] | None = None,
-    stop: threading.Event | None = None,
+    on_state: Callable[[WaveState], None] = lambda _: None,
 ) -> WaveState | None:
     """Take pictures of a board that is waved, those that add something, until they are enough.
 
     Args:
         board: its target file, or the name of one that comes with the program.
-        out: the capture folder, new or empty.
+        out: the capture folder.
+        options: how cameras are read; it ends when pictures are enough, too.
         body: that will be measured; the paper's three balls if omitted.
         goal_mm: expected error of the body's position (standard deviation) that is good enough.
-        request: what cameras of this machine are set to.
-        seconds: longest time; until they are enough, or interrupted, if None.
         on_state: called after every frame set.
-        on_image: called with every picture, from its camera's thread.
-        stop: set to end it; interrupts set it, too.
 
     Returns:
         How far the pictures suffice; None if no picture came.
@@ -60,57 +52,43 @@ def capture_board(
     Raises:
         MeasureError: what is wrong with cameras, board, body or folder.
     """
-    check_seconds(seconds)
+    options, names = options or CaptureOptions(), [one.name for one in cameras]
+    options.check()
+    check_folder(out, options.overwrite, _MARK)
     if not (math.isfinite(goal_mm) and goal_mm > 0):
         raise ConfigError(f"--goal-mm {goal_mm:g}: expected a length in mm above 0")
-    names = [one.name for one in cameras]
-    check_new(out, names)
-    target, state = find_target(Path(board)), None
+    check_names(names)
+    target = find_target(Path(board))
     pattern, measured = read_board(target), paper_body() if body is None else read_body(body)
-    with _frame_sets(cameras, request, seconds, on_image, stop) as (frame_sets, rig_stop):
-        _begin(out, target, names)
+    with open_rig(sources_of(cameras, [], options.request), [], options) as opened:
+        with new_folder(out, options.overwrite, _MARK):
+            _begin(out, target, names)
         wave = BoardWave(pattern, {}, measured, goal_mm)
-        with ThreadPoolExecutor(len(names)) as pool:
-            for images in frame_sets:
-                seen = pool.map(lambda image: _find(pattern, image), images)
-                views = {i.camera: v for i, v in zip(images, seen, strict=True) if v is not None}
-                wave.sizes_wh.update((i.camera, i.pixels.shape[1::-1]) for i in images)
-                times_s = {image.camera: image.time_s for image in images if image.camera in views}
-                if len(wave.sizes_wh) == len(names) and views and wave.add(views, times_s):
-                    _write(out, len(wave.kept), [i for i in images if i.camera in views])
-                state = wave.state()
-                if on_state is not None:
-                    on_state(state)
-                if state.enough:
-                    rig_stop()
-    return state
+        return _wave(opened, wave, out, on_state)
 
 
-@contextmanager
-def _frame_sets(
-    cameras: Sequence[CameraAddress],
-    request: CaptureRequest | None,
-    seconds: float | None,
-    on_image: Callable[[Image], None] | None,
-    stop: threading.Event | None,
-) -> Iterator[tuple[Iterator[list[Image]], Callable[[], None]]]:
-    """The pictures of instants as they come, and what ends them."""
-    with (
-        Cameras(sources_of(cameras, [], request)) as rig,
-        watched(rig.controls, request is not None and request.lock),
-        until_stopped(stop) as stopped,
-    ):
-        gathering = Gathering([one.name for one in cameras], on_read=rig.note_read)
-        rig.begin([gathering.add] if on_image is None else [gathering.add, on_image])
-        ends_s = math.inf if seconds is None else time.monotonic() + seconds
-
-        def over() -> bool:
-            if stopped.is_set() or time.monotonic() >= ends_s:
+def _wave(
+    opened: OpenRig, wave: BoardWave, out: Path, on_state: Callable[[WaveState], None]
+) -> WaveState | None:
+    """Gather pictures, and write those that the wave keeps."""
+    state, rig = None, opened.cameras
+    names = list(rig.addresses)
+    gathering = Gathering(names, on_read=rig.note_read)
+    over = opened.begin(gathering.add)
+    with ThreadPoolExecutor(len(names)) as pool:
+        for one in gathering.frame_sets(over, rig.check):
+            images = [*one.images.values()]
+            seen = pool.map(lambda image: _find(wave.board, image), images)
+            views = {i.camera: v for i, v in zip(images, seen, strict=True) if v is not None}
+            wave.sizes_wh.update((i.camera, i.pixels.shape[1::-1]) for i in images)
+            times_s = {image.camera: image.time_s for image in images if image.camera in views}
+            if len(wave.sizes_wh) == len(names) and views and wave.add(views, times_s):
+                _write(out, len(wave.kept), [i for i in images if i.camera in views])
+            state = wave.state()
+            on_state(state)
+            if state.enough:
                 rig.stop()
-            return rig.over
-
-        sets = gathering.frame_sets(over, rig.check)
-        yield ([*one.images.values()] for one in sets), rig.stop
+    return state
 
 
 def _find(board: Board, image: Image) -> Corners | None:
@@ -127,7 +105,7 @@ def _begin(out: Path, board: Path, names: Sequence[str]) -> None:
     shutil.copyfile(board, out / "board.toml")
     tables = [{"name": name, "intrinsics": f"{name}/*.jpg"} for name in names]
     about = {"name": out.resolve().name, "board": "board.toml", "common_views": True}
-    (out / "capture.toml").write_text(dump_toml({"capture": about, "cameras": tables}), "utf-8")
+    (out / _MARK).write_text(dump_toml({"capture": about, "cameras": tables}), "utf-8")
     for name in names:
         (out / name).mkdir()
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.api.outputs import check_writable, is_one_of
+from measure.api.outputs import check_file
 from measure.api.pairing import read_tracks
 from measure.arrays import Floats, Ints
 from measure.errors import ConfigError, EstimatorError
@@ -34,7 +34,6 @@ def estimate_file(
     out: Path,
     zeroing: Zeroing | None = None,
     *,
-    stretch: Path | None = None,
     true_positions: Path | None = None,
     on_drift: Callable[[str], None] | None = None,
 ) -> dict[str, int]:
@@ -51,7 +50,8 @@ def estimate_file(
     """
     from measure import learning
 
-    check_estimates(out, [states, model_path, stretch, true_positions])
+    if out.suffix not in (".parquet", ".csv"):
+        raise EstimatorError(f"{out}: the name of a file of errors must end with .parquet or .csv")
     model = OnnxModel.load(model_path)
     true = None if true_positions is None else learning.files.read_poses(true_positions)
     follower = None if true is None else learning.follower_of(model)
@@ -59,15 +59,6 @@ def estimate_file(
     if follower is not None and on_drift is not None:
         on_drift(follower.monitor.sentence())
     return counts
-
-
-def check_estimates(out: Path, read: Sequence[Path | None]) -> None:
-    """Refuse a file of errors that is one of those to be read, or cannot be written."""
-    if is_one_of(out, [path for path in read if path is not None]):
-        raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
-    if out.suffix not in (".parquet", ".csv"):
-        raise EstimatorError(f"{out}: the name of a file of errors must end with .parquet or .csv")
-    check_writable(out, folder_is_made=True)
 
 
 def estimate_online(
@@ -144,7 +135,8 @@ def robot_recording(
     from measure.learning.offline import robot_traces
     from measure.viewing.robot_recording import write_robot_recording
 
-    check_writable(run / "robot.rrd")
+    path = run / "robot.rrd"
+    check_file(path, overwrite=True)  # made by this alone, and whenever it is looked at
     measured = read_run(run)
     log = log or _log_of(measured)
     if log is None:
@@ -154,7 +146,6 @@ def robot_recording(
     (track,) = read_tracks([run], frame, schema.robot)
     traces = robot_traces(track, log, schema, estimator, clock_offset_s)
     frames = measured.poses["index"].to_numpy()[_nearest(measured.times_s, traces.times_s)]
-    path = run / "robot.rrd"
     write_robot_recording(path, f"{run.resolve().name}: robot", frames, traces)
     return path
 

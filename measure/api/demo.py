@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from measure.api.correcting import correct_simulated_robot
+from measure.api.outputs import new_folder
 from measure.api.results import evaluate
 from measure.api.run import RunOptions, run
 from measure.api.warming_up import compilation_notice, compile_pipeline
@@ -47,16 +48,24 @@ def demo(
     registry: Registry,
     frames: int = DEMO_FRAMES,
     progress: Progress | None = None,
+    overwrite: bool = False,
 ) -> Demo:
     """Render a short session of four cameras, measure it, and compare it with the exact truth.
 
     Then the second half of the way: correct a simulated robot's position with the shipped network.
-    An earlier demonstration in the folder is replaced; ConfigError if it holds something else.
+    Of an earlier demonstration in the folder ConfigError, or with `overwrite` it is replaced.
     """
+    with new_folder(folder, overwrite, _MARK):
+        return _demo(folder, profile, registry, frames, progress)
+
+
+def _demo(
+    folder: Path, profile: Profile, registry: Registry, frames: int, progress: Progress | None
+) -> Demo:
     from measure.simulation.catalogue import webcam_scene
     from measure.viewing.drawings import write_mosaic
 
-    _refuse_what_is_no_demo(folder, frames)
+    _check_frames(frames)
     scene = webcam_scene()
     with compilation_notice() as end_notices:
         compile_pipeline(profile, registry, scene.body, scene.cameras)
@@ -68,7 +77,7 @@ def demo(
 
         session = render_demo(folder, frames, rendered)
     pictures = frames * len(list(session.glob("cam*.csv")))
-    options = RunOptions(image_every=max(frames // 10, 1), overwrite=True)
+    options = RunOptions(image_every=max(frames // 10, 1))
 
     def measured(done: int, _: int | None) -> None:
         if progress is not None:
@@ -87,18 +96,12 @@ def render_demo(folder: Path, frames: int = DEMO_FRAMES, progress: Progress | No
     from measure.simulation import write_session
     from measure.simulation.catalogue import webcam_scene
 
-    _refuse_what_is_no_demo(folder, frames)
+    _check_frames(frames)
     scene = replace(webcam_scene(), name="demo", description="rendered by measure demo")
     times = np.arange(frames) / DEMO_RATE_HZ
     return write_session(scene, times, folder / "session", progress=progress)
 
 
-def _refuse_what_is_no_demo(folder: Path, frames: int) -> None:
+def _check_frames(frames: int) -> None:
     if frames < 1:
         raise ConfigError(f"{frames} frames: the demonstration needs at least one")
-    if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"{folder} is a file: name a folder with -o")
-    if folder.exists() and not (folder / _MARK).exists() and any(folder.iterdir()):
-        raise ConfigError(
-            f"{folder} is there and holds no demonstration: name another folder with -o"
-        )

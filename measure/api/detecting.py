@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from measure.api.outputs import check_apart, check_writable
+from measure.api.outputs import check_apart, check_file, output
 from measure.api.profiles import build_detectors
 from measure.arrays import Bytes, Floats
 from measure.errors import ConfigError
@@ -85,7 +85,6 @@ def detect(
     body: Body,
     lens: Lens | None = None,
     expected: Iterable[tuple[str, tuple[float, float, float]]] = (),
-    out: Path | None = None,
     progress: Progress | None = None,
 ) -> tuple[SeenPicture, ...]:
     """Find a body's balls in single pictures.
@@ -93,7 +92,6 @@ def detect(
     Args:
         expected: balls, where their centres are and their radii in px; without any the whole
             picture is searched for all balls.
-        out: a folder for copies of the pictures with the outlines drawn in.
         progress: called with how many pictures are done, and of how many.
     """
     asked = dict(expected)
@@ -101,7 +99,6 @@ def detect(
         raise ConfigError(
             f"--expect {unknown[0]}: the body has no such ball, but {', '.join(body.names)}"
         )
-    drawn = _drawings(pictures, out)
     cameras = LensOf(lens or Lens())
     seen = []
     for index, path in enumerate(pictures):
@@ -114,10 +111,6 @@ def detect(
         found = plugin_calls.detections(detector, image, where, body)
         kept = [d for d in found if not asked or d.ball in asked]
         seen.append(SeenPicture(path, tuple(sorted(kept, key=lambda d: -d.score))))
-        if out is not None:
-            from measure.viewing.drawings import write_outlines
-
-            write_outlines(pixels, seen[-1].detections, drawn[index])
         if progress is not None:
             progress(index + 1, len(pictures))
     return tuple(seen)
@@ -194,18 +187,22 @@ def _place(center_px: Floats, radius_px: float, radius_mm: float, camera: Camera
     return np.asarray(distance_mm * bearing)
 
 
-def _drawings(pictures: Sequence[Path], out: Path | None) -> list[Path]:
-    """The files to draw into, all of which can be written."""
-    if out is None:
-        return []
-    drawn = [out / f"{picture.stem}.png" for picture in pictures]
+def drawings(pictures: Sequence[Path], out: Path | None, overwrite: bool = False) -> list[Path]:
+    """The files in a folder to draw into, all of which may be written; none without a folder."""
+    drawn = [] if out is None else [out / f"{picture.stem}.png" for picture in pictures]
     check_apart(*drawn)
     for one in drawn:
-        check_writable(one, folder_is_made=True)
-    if any(one.exists() and any(one.samefile(p) for p in pictures) for one in drawn):
-        raise ConfigError(f"{out}: the pictures would be drawn over: give another folder")
-    out.mkdir(parents=True, exist_ok=True)
+        check_file(one, overwrite, pictures)
     return drawn
+
+
+def draw(seen: Iterable[SeenPicture], drawn: Iterable[Path]) -> None:
+    """Draw the outlines into copies of the pictures."""
+    from measure.viewing.drawings import write_outlines
+
+    for one, file in zip(seen, drawn, strict=False):
+        with output(file, overwrite=True) as fresh:
+            write_outlines(read_picture(one.picture), one.detections, fresh)
 
 
 _PATCH_PX, _INSIDE = 3, 0.8
@@ -222,13 +219,6 @@ def parse_click(text: str) -> tuple[str, tuple[float, float]]:
     return ball, (u, v)
 
 
-def check_new_body(to: Path) -> None:
-    """Refuse (ConfigError) a body file that is there already, or that cannot be written."""
-    check_writable(to)
-    if to.exists():
-        raise ConfigError(f"{to}: is there already, and is not written over: give a new file")
-
-
 def write_sampled_body(
     to: Path,
     body: Body,
@@ -239,9 +229,8 @@ def write_sampled_body(
     """Write a body with the colours that balls have in a picture, as `samples_bgr`.
 
     Sampled is what is connected to clicked pixels and of their colour, and the inside of outlines.
-    ConfigError: a ball that the body has not, or that is not seen; a file that is there.
+    ConfigError: a ball that the body has not, or that is not seen.
     """
-    check_new_body(to)
     if unknown := [ball for ball in clicks if ball not in body.names]:
         names = ", ".join(body.names)
         raise ConfigError(f"--sample {unknown[0]}: the body has no such ball, but {names}")

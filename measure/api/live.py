@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import numpy as np
@@ -18,53 +17,40 @@ import numpy as np
 from measure.api.folders import mark_event
 from measure.api.marks import check_marks, marks_received
 from measure.api.measuring import measure_frame_sets
-from measure.api.profiles import RUN_FILE, build_pipeline
+from measure.api.outputs import check_folder
+from measure.api.profiles import build_pipeline
 from measure.api.recording import (
-    CaptureRequest,
+    SESSION,
+    CaptureOptions,
     calibrated_cameras,
     check_apart,
-    check_seconds,
-    sizes_of,
+    new_recorder,
+    open_rig,
     sources_of,
-    until_stopped,
 )
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
 from measure.api.sending import Sending, SendOptions, open_sending, sent_pose
 from measure.api.warming_up import warm_pipeline
-from measure.capture import (
-    CameraAddress,
-    CameraCount,
-    Cameras,
-    Gathering,
-    Outage,
-    Recorder,
-    check_new,
-)
-from measure.capture.controls import watched
+from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, check_names
 from measure.capture.sources import Source
-from measure.errors import ConfigError, RunError
+from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.measuring import Measurement, Pipeline, Profile, burn_in, relative_measurements
-from measure.model import Body, Camera, FrameSet, Image
+from measure.model import Body, Camera, FrameSet
 from measure.processes import share_heaps
-from measure.results import Provenance, RunWriter, Summary, refuse_other_writer
+from measure.results import Provenance, RunWriter, Summary, check_run_folder
 from measure.session import Calibration, check_bodies, check_unit, read_body
 
 _RECENT = 30  # Frame sets over which the rate and the age of poses are taken
 
 
 @dataclass(frozen=True)
-class LiveOptions(LogOptions, SendOptions):
-    """How cameras are measured live, beside the run's recording."""
+class LiveOptions(CaptureOptions, LogOptions, SendOptions):
+    """How cameras are measured live."""
 
     record: Path | None = None  # a session folder to record the pictures into as well
-    seconds: float | None = None  # how long; until interrupted if None
-    request: CaptureRequest | None = None  # what cameras of this machine are set to
-    overwrite: bool = False  # throw an earlier run away
     reference: str = ""  # name of the body that others are measured relative to; empty without one
-    on_image: Callable[[Image], None] | None = None  # called with every picture
-    stop: Event | None = None  # set to end it; interrupts set it, too
     marks: tuple[str, ...] = ()  # where event marks come from, see `marks_received`
 
 
@@ -102,8 +88,7 @@ def live(
     profile: Profile,
     registry: Registry,
     options: LiveOptions | None = None,
-    on_state: Callable[[LiveState], None] | None = None,
-    on_outage: Callable[[Outage], None] | None = None,
+    on_state: Callable[[LiveState], None] = lambda _: None,
 ) -> LiveEnd:
     """Measure cameras while they deliver, for a time or until interrupted.
 
@@ -119,7 +104,6 @@ def live(
         registry: where the plugins come from.
         options: what else is to be done with pictures and poses.
         on_state: called after every frame set.
-        on_outage: called, from another thread, when a camera is away, and when it is back.
 
     Raises:
         MeasureError: whatever is wrong with cameras, calibration, body, plugins or settings; what
@@ -128,18 +112,15 @@ def live(
     share_heaps()
     options = options or LiveOptions()
     prepared = _prepare(cameras, out, calibration, bodies, profile, registry, options)
-    sent, names = prepared.sent, [camera.name for camera in prepared.sent.cameras]
-    rig = Cameras(prepared.sources, sizes_of(sent.cameras), on_outage)
-    gathering = Gathering(names, on_read=rig.note_read)
+    sent = prepared.sent
     with ExitStack() as stack:
-        stack.enter_context(rig)
-        lock = options.request is not None and options.request.lock
-        controls = stack.enter_context(watched(rig.controls, lock))
-        stop = stack.enter_context(until_stopped(options.stop))
-        takers = [gathering.add] if options.on_image is None else [gathering.add, options.on_image]
+        opened = stack.enter_context(open_rig(prepared.sources, sent.cameras, options))
+        rig = opened.cameras
+        gathering = Gathering(list(rig.addresses), on_read=rig.note_read)
+        takers = [gathering.add]
         if options.record is not None:
-            given = rig.addresses, sent.bodies, sent.cameras, sent.reference, controls.settings
-            takers.append(stack.enter_context(Recorder(options.record, *given)).add)
+            given = options.record, opened, sent.bodies, sent.cameras, sent.reference
+            takers.append(stack.enter_context(new_recorder(*given)).add)
         sending = stack.enter_context(prepared.sending)
         outputs = _LiveOutputs(stack, out, prepared.made_from, sent, options)
 
@@ -148,8 +129,8 @@ def live(
             sending.send((), [EventMark(time_s, time_s, what)])
 
         stack.enter_context(marks_received(options.marks, rig.clock_s, on_mark))
-        rig.begin(takers)
-        frame_sets = _frame_sets(gathering, rig, stop, options.seconds)
+        # Each call begins with the frame sets that come then.
+        frame_sets = partial(gathering.frame_sets, opened.begin(*takers), rig.check)
         pipelines = [burn_in.calibrated(one, prepared.build, frame_sets) for one in prepared.warm]
         for one in pipelines:
             burn_in.enter_realtime(one.stages.detectors)
@@ -159,11 +140,10 @@ def live(
             sending.send(_sent_poses(sent, known), images=frame_set.images)
             outputs.add(frame_set, known)
             state = watch.state(known)
-            if on_state is not None:
-                on_state(state)
+            on_state(state)
         rig.check()
         summary = outputs.finish()
-    return LiveEnd(summary, state, tuple(controls.changed.values()), sending.counts)
+    return LiveEnd(summary, state, tuple(opened.controls.changed.values()), sending.counts)
 
 
 @dataclass(frozen=True)
@@ -187,7 +167,8 @@ def _prepare(
     registry: Registry,
     options: LiveOptions,
 ) -> _Prepared:
-    check_seconds(options.seconds)
+    options.check()
+    _check_outputs(out, options, [one.name for one in cameras])
     if len(cameras) < 2:
         raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
     calibrated = calibrated_cameras(cameras, calibration)
@@ -199,7 +180,7 @@ def _prepare(
     sent = SentRun(out.resolve().name, tuple(measured), tuple(calibrated), options.reference)
     sending = open_sending(options, registry, sent)
     sources = sources_of(cameras, calibrated, options.request)
-    _check_outputs(out, options, [one.name for one in cameras])
+    options.check_viewer()
     return _Prepared(
         sent,
         sending,
@@ -222,15 +203,13 @@ def _made_from(options: LiveOptions, *known: Any) -> Provenance:
 
 
 def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> None:
-    """Refuse what must not be overwritten or cannot be shown, before anything is slow."""
-    check_marks(options.marks)
+    """Refuse what must not be overwritten, before anything is slow."""
     if options.record is not None:
         check_apart(options.record, out)
-        check_new(options.record, names)
-    refuse_other_writer(out)
-    if (out / RUN_FILE).exists() and not options.overwrite:
-        raise RunError(f"{out} holds a run already: --overwrite throws it away")
-    options.check_viewer()
+        check_folder(options.record, options.overwrite, SESSION)
+        check_names(names)
+    check_run_folder(out, None, options.overwrite)
+    check_marks(options.marks)
 
 
 def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:
@@ -239,20 +218,6 @@ def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:
     if not missing:
         return measured
     return replace(measured, reason="; ".join(filter(None, (measured.reason, *missing))))
-
-
-def _frame_sets(
-    gathering: Gathering, rig: Cameras, stop: Event, seconds: float | None
-) -> Callable[[], Iterator[FrameSet]]:
-    """Frame sets as they come; each call begins with those that come then."""
-    ends = math.inf if seconds is None else time.monotonic() + seconds
-
-    def over() -> bool:
-        if stop.is_set() or time.monotonic() >= ends:
-            rig.stop()
-        return rig.over
-
-    return lambda: gathering.frame_sets(over, rig.check)
 
 
 def _sent_poses(run: SentRun, measured: Sequence[Measurement]) -> list[SentPose]:

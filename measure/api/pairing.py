@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from measure.api.outputs import check_writable, is_one_of
 from measure.api.training import check_seeds
 from measure.errors import ConfigError, EstimatorError
 from measure.host import Dataset, Report
@@ -50,9 +49,7 @@ def make_dataset(
     """
     from measure.learning import assemble, files
 
-    if is_one_of(out, (*runs, *logs, Path(robot), *([frame] if frame else []))):
-        raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
-    _check_out(out)
+    _check_name(out)
     schema = find_schema(robot)
     facts: list[TrajectoryFacts] = []
     if logs:
@@ -94,11 +91,9 @@ def _of_restarts(tracks: Sequence[PoseTrack], restarts: Sequence[str]) -> list[P
     return [replace(t, name=f"{name}/{t.name}") for t, name in zip(tracks, each, strict=True)]
 
 
-def _check_out(out: Path) -> None:
+def _check_name(out: Path) -> None:
     if out.suffix != ".parquet":
         raise EstimatorError(f"{out}: a data set's file name must end with .parquet")
-    for file in (out, out.with_suffix(".card.json")):
-        check_writable(file, folder_is_made=True)
 
 
 def open_logs(
@@ -154,13 +149,12 @@ def simulate_dataset(
     Its labels are measured with noise on a clock that must be found, or `exact`.
 
     Raises:
-        ConfigError: a length, a count, a seed or a wear that makes no data, or `out` cannot be
-            written.
+        ConfigError: a length, a count, a seed or a wear that makes no data.
         EstimatorError: the name of `out` is not a data set's.
     """
     from measure.learning import PAPER_MINUTES, PAPER_PAIRS, files, simulated_dataset
 
-    _check_out(out)
+    _check_name(out)
     check_seeds(seed=seed)
     rate = PAPER_PAIRS / PAPER_MINUTES
     count = (pairs or round(rate * minutes)) if 0 < minutes < math.inf else 0

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
+from measure.api.outputs import check_folder, new_folder
 from measure.capture import (
     CameraAddress,
     CameraCount,
@@ -19,15 +20,16 @@ from measure.capture import (
     Outage,
     Recorder,
     bus_notes,
-    check_new,
+    check_names,
     find_devices,
 )
-from measure.capture.controls import watched
+from measure.capture.controls import ControlRecord, watched
 from measure.capture.sources import Source
 from measure.errors import ConfigError
-from measure.model import Camera, Image
+from measure.model import Body, Camera, Image
 from measure.session import check_bodies, read_body, read_calibration
 
+SESSION = "session.toml"  # By which a recording's folder is known
 _POLL_S = 0.1
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -50,6 +52,61 @@ class CaptureRequest:
 
 
 @dataclass(frozen=True)
+class CaptureOptions:
+    """How cameras are read, whatever becomes of their pictures."""
+
+    request: CaptureRequest | None = None  # what cameras of this machine are set to
+    seconds: float | None = None  # how long; until interrupted if None
+    overwrite: bool = False  # replace what is there
+    on_image: Callable[[Image], None] | None = None  # gets every picture, from its camera's thread
+    # called, from another thread, when a camera is away, and when it is back.
+    on_outage: Callable[[Outage], None] | None = None
+    stop: threading.Event | None = None  # set to end it; interrupts set it, too
+
+    def check(self) -> None:
+        """Refuse a time that is not above 0, or no number (ConfigError)."""
+        if self.seconds is not None and not (math.isfinite(self.seconds) and self.seconds > 0):
+            raise ConfigError(f"--seconds {self.seconds:g}: expected a time above 0")
+
+
+@dataclass(frozen=True)
+class OpenRig:
+    """Cameras that deliver."""
+
+    cameras: Cameras
+    controls: ControlRecord
+    stop: threading.Event
+    options: CaptureOptions
+
+    def begin(self, *takers: Callable[[Image], None]) -> Callable[[], bool]:
+        """Hand pictures on from now; gives what tells whether it is over, and ends it in time."""
+        more, seconds = self.options.on_image, self.options.seconds
+        self.cameras.begin([*takers, more] if more else takers)
+        ends_s = math.inf if seconds is None else time.monotonic() + seconds
+
+        def over() -> bool:
+            if self.stop.is_set() or time.monotonic() >= ends_s:
+                self.cameras.stop()
+            return self.cameras.over
+
+        return over
+
+
+@contextmanager
+def open_rig(
+    sources: Mapping[str, Source], calibrated: Sequence[Camera], options: CaptureOptions
+) -> Iterator[OpenRig]:
+    """Open cameras until the block ends; nothing is lost yet if that is interrupted."""
+    lock = options.request is not None and options.request.lock
+    with (
+        Cameras(sources, sizes_of(calibrated), options.on_outage) as rig,
+        watched(rig.controls, lock) as controls,
+        until_stopped(options.stop) as stop,
+    ):
+        yield OpenRig(rig, controls, stop, options)
+
+
+@dataclass(frozen=True)
 class RecordedSession:
     """A recording that has ended."""
 
@@ -61,65 +118,58 @@ class RecordedSession:
 def record(
     cameras: Sequence[CameraAddress],
     out: Path,
+    options: CaptureOptions | None = None,
     *,
     calibration: Path | None = None,
     bodies: Sequence[Path] = (),
     reference: str = "",
-    request: CaptureRequest | None = None,
-    seconds: float | None = None,
-    on_state: Callable[[Mapping[str, CameraCount]], None] | None = None,
-    on_outage: Callable[[Outage], None] | None = None,
-    on_image: Callable[[Image], None] | None = None,
-    stop: threading.Event | None = None,
+    on_state: Callable[[Mapping[str, CameraCount]], None] = lambda _: None,
 ) -> RecordedSession:
     """Record cameras into a session folder for a time, or until the process is interrupted.
 
     Args:
-        out: the session's folder, new or empty.
-        calibration: copied into it; pictures of other sizes are refused. May be added later.
+        calibration: copied into the folder; pictures of other sizes are refused. May be added
+            later.
         bodies: likewise copied, one or several; may be added later.
         reference: name of the body that others are measured relative to; empty without one.
-        request: what cameras of this machine are set to.
-        seconds: how long; until interrupted if None.
         on_state: called ten times a second with the counts of all cameras.
-        on_outage: called, from another thread, when a camera is away, and when it is back.
-        on_image: called with every picture, from its camera's thread.
-        stop: set to end it; interrupts set it, too.
 
     Raises:
         CaptureError: a camera cannot be reached, does not take a control, or is of another size
             than calibrated; the folder cannot be written, or a camera's name cannot be a folder's.
         CalibrationError: the calibration is broken, or has not all the cameras.
         SessionError: the body file is broken.
-        ConfigError: no camera, or a time that is none.
+        ConfigError: no camera, a time that is none, or a folder that holds something.
     """
-    check_seconds(seconds)
-    check_new(out, [one.name for one in cameras])
+    options = options or CaptureOptions()
+    options.check()
+    check_folder(out, options.overwrite, SESSION)
+    check_names([one.name for one in cameras])
     calibrated = calibrated_cameras(cameras, calibration)
     measured = [read_body(body) for body in bodies]
     if measured:
         check_bodies(measured, reference, "--body")
-    sources, about = sources_of(cameras, calibrated, request), (measured, calibrated, reference)
-    with (
-        # Nothing is lost yet if this is interrupted.
-        Cameras(sources, sizes_of(calibrated), on_outage) as rig,
-        watched(rig.controls, request is not None and request.lock) as controls,
-        until_stopped(stop) as stop,
-        Recorder(out, rig.addresses, *about, controls.settings) as recording,
-    ):
-        rig.begin([recording.add] if on_image is None else [recording.add, on_image])
-        begun = time.monotonic()
-        while not rig.over and not stop.wait(_POLL_S):
-            rig.check()
-            if on_state is not None:
+    with open_rig(sources_of(cameras, calibrated, options.request), calibrated, options) as opened:
+        rig = opened.cameras
+        with new_recorder(out, opened, measured, calibrated, reference) as recorder:
+            over = opened.begin(recorder.add)
+            while not over():
+                rig.check()
                 on_state(rig.counts)
-            if seconds is not None and time.monotonic() - begun >= seconds:
-                break
-        rig.check()
-        rig.stop()
-        rig.wait()  # what is counted is to be in the folder
+                opened.stop.wait(_POLL_S)
+            rig.check()
+            rig.wait()  # what is counted is to be in the folder
     rig.check()
-    return RecordedSession(out, rig.counts, tuple(controls.changed.values()))
+    return RecordedSession(out, rig.counts, tuple(opened.controls.changed.values()))
+
+
+def new_recorder(
+    out: Path, opened: OpenRig, bodies: Sequence[Body], cameras: Sequence[Camera], reference: str
+) -> Recorder:
+    """Begin a recording; one that is replaced is gone when this one has begun."""
+    addresses, settings = opened.cameras.addresses, opened.controls.settings
+    with new_folder(out, opened.options.overwrite, SESSION):
+        return Recorder(out, addresses, bodies, cameras, reference, settings)
 
 
 def check_apart(record: Path, out: Path) -> None:
@@ -129,12 +179,6 @@ def check_apart(record: Path, out: Path) -> None:
             f"--record {record}: the run's folder, {out}, is the same or lies in it: a recording "
             "needs a folder of its own"
         )
-
-
-def check_seconds(seconds: float | None) -> None:
-    """Refuse a time that is not above 0, or no number (ConfigError)."""
-    if seconds is not None and not (math.isfinite(seconds) and seconds > 0):
-        raise ConfigError(f"--seconds {seconds:g}: expected a time above 0")
 
 
 def calibrated_cameras(cameras: Sequence[CameraAddress], calibration: Path | None) -> list[Camera]:

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from measure.api.outputs import check_page_writable
+from measure.api.outputs import output
 from measure.errors import MeasureError, RunError
 from measure.results import Run, RunEvaluation, read_marks, read_run, read_runs
 from measure.results import evaluate as evaluate_run
@@ -17,6 +17,7 @@ from measure.results.comparing import Comparison
 from measure.results.comparing import compare as compare_runs
 from measure.results.evaluation import pose_errors
 from measure.results.exports import export_run
+from measure.results.folder import own_files
 from measure.session import open_session, read_calibration, read_trajectory, session_truth
 
 _log = logging.getLogger(__name__)
@@ -66,7 +67,11 @@ def body_names(run: Path | str) -> list[str]:
 
 
 def report(
-    run_path: Path, out: Path | None = None, truth: Path | None = None, body: str | None = None
+    run_path: Path,
+    out: Path | None = None,
+    truth: Path | None = None,
+    body: str | None = None,
+    overwrite: bool = False,
 ) -> Path:
     """Write the report of a run as one self-contained HTML file; gives the file.
 
@@ -74,20 +79,21 @@ def report(
         out: the file; `report.html` in the run's folder if omitted.
         truth: poses over time; those of the run's session if omitted and there are any.
         body: which body, of a run of several; all if omitted.
+        overwrite: replace what is there.
     """
     from measure.viewing.report.run_report import run_report
 
-    runs = _chosen(run_path, body)
-    errors = []
-    for run in runs:
-        file = (truth or _truth_of(run)) if run.poses.num_rows else None
-        known = None if file is None else read_trajectory(file, RunError, _own_name(run))
-        errors.append(None if known is None else pose_errors(run, known))
     path = out or run_path / "report.html"
-    check_page_writable(path)
-    # A folder may have a name that is no text.
-    page = run_report(runs, errors, _picture(runs))
-    path.write_text(page, encoding="utf-8", errors="backslashreplace")
+    with output(path, overwrite) as page:
+        runs = _chosen(run_path, body)
+        errors = []
+        for run in runs:
+            file = (truth or _truth_of(run)) if run.poses.num_rows else None
+            known = None if file is None else read_trajectory(file, RunError, _own_name(run))
+            errors.append(None if known is None else pose_errors(run, known))
+        made = run_report(runs, errors, _picture(runs))
+        # A folder may have a name that is no text.
+        page.write_text(made, encoding="utf-8", errors="backslashreplace")
     return path
 
 
@@ -125,13 +131,15 @@ def export(
     Args:
         file_format: "csv", "tum", "trc", "c3d" or "mcap".
         out: the file to write; `export.FORMAT` in the run's folder if omitted.
+        overwrite: replace what is there, but for the run's own files.
         body: which body, of a run of several; all if omitted.
         smooth_s: smooth poses over so long on either side; as measured if omitted.
         velocity: write velocities as well.
     """
     path = Path(run) / f"export.{file_format}" if out is None else Path(out)
-    runs = _chosen(Path(run), body)
-    return export_run(runs, file_format, path, overwrite, smooth_s, velocity)
+    with output(path, overwrite, own_files(Path(run))) as file:
+        export_run(_chosen(Path(run), body), file_format, file, smooth_s, velocity)
+    return path
 
 
 def compare(first: Path | str, second: Path | str, body: str | None = None) -> Comparison:

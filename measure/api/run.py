@@ -21,7 +21,7 @@ from measure.measuring.profile import Stage
 from measure.model import Body
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress
-from measure.results import Provenance, RunWriter, Summary, digest
+from measure.results import Provenance, RunWriter, Summary, check_run_folder, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
 
 _FIRST_FRAME_SETS = 3  # Frame sets that are looked at for colour before a run
@@ -79,6 +79,7 @@ def run(
             measured before it was met is kept.
     """
     options = options or RunOptions()
+    check_run_folder(out, options.resume, options.overwrite)
     with ExitStack() as stack:
         session = stack.enter_context(options.open(session_path))
         total = len(session.pair().times_s)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.api.measuring import calibrated_pipeline, measure_frame_sets
-from measure.api.outputs import check_writable
+from measure.api.outputs import output
 from measure.api.profiles import build_detectors
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
@@ -94,7 +94,7 @@ def sync(
     session_path: Path,
     registry: Registry,
     profile: Profile,
-    output: Path | None = None,
+    out: Path | None = None,
     overwrite: bool = False,
     seconds: float = 120.0,
     progress: Progress | None = None,
@@ -103,22 +103,21 @@ def sync(
 
     Args:
         profile: whose detector searches, and whose stages measure the motion.
-        output: a session file to write instead of the session's own.
-        overwrite: replace offsets, or an output, that are there.
+        out: a session file to write instead of the session's own.
+        overwrite: replace offsets, or a file, that are there.
         seconds: how much of each recording is looked at, from its start.
         progress: called with how many pictures are done, and of how many.
     """
     if not seconds > 0:
         raise ConfigError(f"{seconds:g} seconds: must be more than 0")
-    if output is not None and output.exists() and not overwrite:
-        raise ConfigError(f"{output} is there already: --overwrite replaces it, or give a new file")
-    file = session_file(session_path)
-    check_writable(output or file)
-    with open_session(file, clocks_apart=True) as session:
-        add_time_offsets(file, dict.fromkeys(session.streams, 0.0), overwrite)  # may it be done?
-        clocks = _synced(session, registry, profile, seconds, progress)
-    offsets_s = {name: clock.offset_s for name, clock in clocks.items()}
-    (output or file).write_text(add_time_offsets(file, offsets_s, overwrite), "utf-8")
+    # What is added to the session's own file replaces no other offsets: that is refused below.
+    with output(out or session_file(session_path), overwrite or out is None) as written:
+        file = session_file(session_path)
+        with open_session(file, clocks_apart=True) as session:
+            add_time_offsets(file, dict.fromkeys(session.streams, 0.0), overwrite)  # may it be?
+            clocks = _synced(session, registry, profile, seconds, progress)
+        offsets_s = {name: clock.offset_s for name, clock in clocks.items()}
+        written.write_text(add_time_offsets(file, offsets_s, overwrite), "utf-8")
     return clocks
 
 

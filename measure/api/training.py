@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from measure.api.outputs import check_writable, is_one_of
+from measure.api.outputs import check_file, output
 from measure.api.profiles import parse_value
 from measure.errors import ConfigError, EstimatorError
 from measure.host import OnnxModel, Registry, Report
@@ -33,6 +33,7 @@ class TrainOptions:
     folds: int = 4  # groups of recordings left out in turn to judge the covariance
     seed: int = 0
     resume: bool = False  # go on with an interrupted training of the same file
+    overwrite: bool = False  # replace a model that is there, its card and its report
     split_rows: bool = False  # split by random rows: wrong, and only there to show how wrong
     notes: Mapping[str, str] | None = None
 
@@ -44,32 +45,28 @@ def train(
     from measure import learning
     from measure.viewing.report.estimator_report import estimator_report
 
-    check_seeds(split_seed=options.split_seed, seed=options.seed)
-    check_writable(out, folder_is_made=True)
-    card_path = out.with_suffix(".card.json")
-    page = out.with_suffix(".report.html")
-    for beside in (card_path, out.with_suffix(".card.md"), page):
-        check_writable(beside, folder_is_made=True)
-    if options.folds < 0 or options.folds == 1:
-        raise ConfigError(f"--folds {options.folds}: expected 2 groups or more, or 0 for none")
     read = [*data, *(path for path in (options.validation, options.test) if path)]
-    if is_one_of(card_path, [path.with_suffix(".card.json") for path in read if path.name]):
-        raise EstimatorError(
-            f"--out {out}: its card would replace {card_path}, the card of the data: give the "
-            "model another name"
+    cards = [path.with_suffix(".card.json") for path in read if path.name]
+    beside = ".card.json", ".card.md", ".report.html"
+    with output(out, options.overwrite, [*read, *cards], beside) as file:
+        check_seeds(split_seed=options.split_seed, seed=options.seed)
+        if options.folds < 0 or options.folds == 1:
+            raise ConfigError(f"--folds {options.folds}: expected 2 groups or more, or 0 for none")
+        trained = learning.train(
+            registry.estimator(options.estimator, dict(options.settings or {})),
+            _split(data, options),
+            file,
+            seed=options.seed,
+            report=report,
+            checkpoint=out.with_suffix(".checkpoint"),
+            resume=options.resume,
+            folds=options.folds,
+            notes=options.notes,
         )
-    trained = learning.train(
-        registry.estimator(options.estimator, dict(options.settings or {})),
-        _split(data, options),
-        out,
-        seed=options.seed,
-        report=report,
-        resume=options.resume,
-        folds=options.folds,
-        notes=options.notes,
-    )
-    page.write_text(estimator_report(trained, json.loads(card_path.read_text())), encoding="utf-8")
-    return trained
+        card, _, page = map(file.with_suffix, beside)
+        made = estimator_report(trained, json.loads(card.read_text()))
+        page.write_text(made, encoding="utf-8")
+    return replace(trained, path=out)
 
 
 def _split(data: Sequence[Path], options: TrainOptions) -> Split:
@@ -131,7 +128,7 @@ def sweep(
     if options.trials < 1:
         raise ConfigError(f"--trials {options.trials}: expected a positive number")
     check_seeds(split_seed=options.split_seed)
-    check_writable(journal, folder_is_made=True)
+    check_file(journal, overwrite=True)  # what is there goes on
     ranges = read_space(space)
     if both := sorted(ranges.keys() & options.settings.keys()):
         raise ConfigError(f"--set {both[0]}: {space} has a range for it: give it in one place only")

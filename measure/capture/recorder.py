@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock
@@ -48,12 +48,12 @@ class Recorder:
             controls: by camera what its controls are set to, where that is known.
 
         Raises:
-            CaptureError: the folder holds something, or cannot be written; a camera's name cannot
-                be a folder's.
+            CaptureError: the folder cannot be written, or has a camera's folder; a camera's name
+                cannot be a folder's.
         """
         self._folder, self._lock = folder, Lock()
         self._stamps: dict[str, TextIO] = {}
-        check_new(folder, addresses)
+        check_names(list(addresses))
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for name in addresses:
@@ -107,19 +107,8 @@ class Recorder:
             begun.unlink()  # closed meanwhile
 
 
-def check_new(folder: Path, names: Iterable[str] = ()) -> None:
-    """Refuse (CaptureError) a folder that is not empty, and cameras whose names are no folders'."""
-    _check_names(list(names))
-    try:
-        taken = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
-    except OSError as problem:
-        raise _cannot_write(folder, problem) from None
-    if taken:
-        raise CaptureError(f"{folder}: is there already: give a new folder")
-
-
-def _check_names(names: Sequence[str]) -> None:
-    """Refuse names that lead elsewhere, or to one place where letters' case does not count."""
+def check_names(names: Sequence[str]) -> None:
+    """Refuse (CaptureError) cameras whose names lead elsewhere, or are alike but for capitals."""
     for name in names:
         if name in ("", ".", "..") or any(sign in "/\\" or ord(sign) < 32 for sign in name):
             raise CaptureError(

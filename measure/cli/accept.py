@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 
 
 def accept(
@@ -13,7 +13,8 @@ def accept(
     /,
     *,
     lengths: Path,
-    output: OutFile | None = None,
+    out: OutFile | None = None,
+    overwrite: Overwrite = False,
     body: str | None = None,
     json: JsonFlag = False,
 ) -> int:
@@ -26,12 +27,12 @@ def accept(
         lengths: table from,to,length_mm between rests by their numbers (`measure rests`) or between
             two balls by their names or two bodies by theirs (a ball bar); perhaps with sd_mm, how
             exactly a length is known.
-        output: report to write, one HTML file.
+        out: report to write, one HTML file.
         body: which body, of a run of several.
     """
     from measure import api
 
-    found = api.accept(run, lengths, output, body)
+    found = api.accept(run, lengths, out, body, overwrite)
     judged = found.judged
     rows = [
         (name, float(known), f"{error:+.3f}", f"{U:.3f}", f"{ratio:+.2f}")
@@ -63,6 +64,6 @@ def accept(
     console.print_table(("", "promise", "here"), told)
     for line in judged.contradictions:
         console.print_text(f"wrong: {line}")
-    if output is not None:
-        console.print_text(f"wrote {output}")
+    if out is not None:
+        console.print_text(f"wrote {out}")
     return code

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
 
 
@@ -16,7 +16,8 @@ def body(
     radius_mm: float,
     like: Path | None = None,
     origin: str | None = None,
-    output: OutFile,
+    out: OutFile,
+    overwrite: Overwrite = False,
     calibration: Path | None = None,
     profile: str = "precise",
     json: JsonFlag = False,
@@ -33,25 +34,23 @@ def body(
         like: body file with the balls' names and colours and the frame to use; needed where two
             balls have one colour, or one that has no common name.
         origin: ball to put the origin at; the centroid of all if omitted.
-        output: the body file to write.
+        out: the body file to write.
         calibration: a calibration file to use instead of the session's own.
         profile: how to measure the session, by name or TOML file.
     """
     from measure import api
-    from measure.api.outputs import check_replaceable
-    from measure.session import read_body, write_body
+    from measure.session import write_body
 
-    check_replaceable(output, read_body, "body")
-    with console.progress("looking") as progress:
+    with api.output(out, overwrite) as file, console.progress("looking") as progress:
         found = api.find_body(
             session, registry, radius_mm, like, origin, profile, calibration, progress
         )
-    write_body(output, found.body)
+        write_body(file, found.body)
     rows = [(a, b, mm, sd) for (a, b), (mm, sd) in found.distances.items()]
     if json:
         keys = ("from", "to", "distance_mm", "sd_mm")
         values = {
-            "output": output,
+            "output": out,
             "frame": found.frame,
             "frame_sets": found.frame_sets,
             "rms_px": found.rms_px,
@@ -63,7 +62,7 @@ def body(
     console.print_table(("from", "to", "distance_mm", "sd_mm"), rows)
     console.print_text(f"frame: {found.frame}")
     console.print_text(
-        f"wrote {output}: {len(found.body.balls)} balls from {found.frame_sets} frame sets, each "
+        f"wrote {out}: {len(found.body.balls)} balls from {found.frame_sets} frame sets, each "
         f"coordinate known to {found.body.tolerance_mm:.3f} mm; what is left in the pictures "
         f"{found.rms_px:.2f} px RMS"
     )

@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import Literal
 
 from measure.cli import console
-from measure.cli.console import CalibrationFormat, JsonFlag, OutFile
+from measure.cli.console import CalibrationFormat, JsonFlag, OutFile, Overwrite
 
 
 def calibrate(
     capture: Path,
     /,
     *,
-    output: OutFile,
+    out: OutFile,
+    overwrite: Overwrite = False,
     method: Literal["joint", "paper"] = "joint",
     body: Path | None = None,
     file_format: CalibrationFormat = "triball",
@@ -27,7 +28,7 @@ def calibrate(
 
     Args:
         capture: capture folder (docs/calibration.md), or its capture.toml.
-        output: the calibration to write.
+        out: the calibration to write.
         method: "joint" solves all cameras at once; "paper" each from its markers (equation 3).
         body: body to judge the calibration with; the paper's three-ball body if omitted.
         file_format: of the output; only "triball" holds covariances and the judgement.
@@ -38,11 +39,12 @@ def calibrate(
 
     with console.progress("calibrating", "cameras") as progress:
         result, page = api.calibrate_to(
-            output, capture, method, body, progress, file_format=file_format, report=report
-        )
+            out, capture, method, body, progress,
+            file_format=file_format, report=report, overwrite=overwrite,
+        )  # fmt: skip
     code = 0 if result.verdict.trustworthy else console.UNBELIEVABLE
     if json:
-        console.print_json({"output": output, **result.calibration.provenance})
+        console.print_json({"output": out, **result.calibration.provenance})
         return code
     console.print_table(
         ("camera", "f_px", "position_sd_mm", "rotation_sd_deg", "rms_px"),
@@ -50,5 +52,5 @@ def calibrate(
     )
     for line in result.lines():
         console.print_text(line)
-    console.print_text(f"wrote {output} and {page}")
+    console.print_text(f"wrote {out} and {page}")
     return code

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import CaptureOptions
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ def capture(
     *cameras: str,
     board: str,
     out: OutFile,
+    overwrite: Overwrite = False,
     body: Path | None = None,
     goal_mm: float = 0.2,
     capture: CaptureOptions = CaptureOptions(),
@@ -34,7 +35,7 @@ def capture(
     Args:
         cameras: NAME=ADDRESS each, as for `measure record`.
         board: the board's target file, or the name of one that comes with the program.
-        out: the capture folder for `measure calibrate`, new or empty.
+        out: the capture folder for `measure calibrate`.
         body: body that will be measured; the paper's three-ball body if omitted.
         goal_mm: expected error of the body's position that is good enough.
     """
@@ -47,10 +48,8 @@ def capture(
             last[0] = time.monotonic()
             console.note(f"{state.sentence()}; {', '.join(state.advice[:3])}")
 
-    state = api.capture_board(
-        given, board, out, body=body, goal_mm=goal_mm, request=capture.request(),
-        seconds=capture.seconds, on_state=tell,
-    )  # fmt: skip
+    options = api.CaptureOptions(capture.request(), capture.seconds, overwrite)
+    state = api.capture_board(given, board, out, options, body=body, goal_mm=goal_mm, on_state=tell)
     if json:
         console.print_json({"capture": out, "state": state})
     elif state is not None:

@@ -20,6 +20,7 @@ from measure.processes import Progress
 JsonFlag = Annotated[bool, Parameter(name="--json", help="Print one JSON object and nothing else.")]
 """Type of every command's `json` option."""
 OutFile = Annotated[Path, Parameter(name=("--out", "-o"))]
+Overwrite = Annotated[bool, Parameter(help="Replace what is there.")]
 CalibrationFormat = Annotated[
     Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
 ]

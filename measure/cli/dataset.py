@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile, shares
+from measure.cli.console import JsonFlag, OutFile, Overwrite, shares
 from measure.cli.options import RobotOptions
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ def dataset(
     /,
     *,
     out: OutFile,
+    overwrite: Overwrite = False,
     frame: Path | None = None,
     restart_name: tuple[str, ...] = (),
     source: RobotOptions = RobotOptions(),
@@ -93,16 +94,18 @@ def dataset(
 
     if bool(runs) == (simulation.simulate_min is not None):
         raise ConfigError("give runs, or --simulate-min MINUTES, but not both")
-    if not runs:
-        data, facts = _simulated(out, simulation)
-    else:
-        from measure.learning import AssemblySettings
+    logs, robot, topic = source.robot_log, source.robot, source.topic
+    read = (*runs, *logs, Path(robot), *([frame] if frame else []))
+    with api.output(out, overwrite, read, [".card.json"]) as file:
+        if not runs:
+            data, facts = _simulated(file, simulation)
+        else:
+            from measure.learning import AssemblySettings
 
-        settings = AssemblySettings(**asdict(assembly))
-        logs, robot, topic = source.robot_log, source.robot, source.topic
-        data, facts = api.make_dataset(
-            runs, logs, robot, out, settings, topic=topic, frame=frame, restarts=restart_name
-        )
+            settings = AssemblySettings(**asdict(assembly))
+            data, facts = api.make_dataset(
+                runs, logs, robot, file, settings, topic=topic, frame=frame, restarts=restart_name
+            )
     labels = LabelFacts.of(data)
     if json:
         values = {"data": str(out), "rows": len(data), "labels": labels, "recordings": facts}

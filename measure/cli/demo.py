@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 def demo(
     *,
     out: OutFile = Path("triball-demo"),
+    overwrite: Overwrite = False,
     profile: str = "precise",
     frames: int = 30,
     json: JsonFlag = False,
@@ -29,7 +30,7 @@ def demo(
     half of the way: the shipped network corrects a simulated robot's position, without a camera.
 
     Args:
-        out: folder for the session and the run; an earlier demonstration in it is replaced.
+        out: folder for the session and the run.
         profile: how to measure: `precise`, `paper`, or the path of a profile of your own (.toml).
         frames: frame sets to render.
     """
@@ -37,7 +38,7 @@ def demo(
 
     chosen = api.load_profile(profile)
     with console.progress("rendering and measuring", "steps") as report:
-        made = api.demo(out, chosen, registry, frames, report)
+        made = api.demo(out, chosen, registry, frames, report, overwrite)
     if json:
         console.print_json(dataclasses.asdict(made) | {"profile": chosen.name})
         return

@@ -3,30 +3,78 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cyclopts import Parameter
+
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry, SettingTexts
+from measure.errors import ConfigError
 
 if TYPE_CHECKING:
     from measure.api import SeenPicture
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _LensOptions:
+    """The camera that took the pictures; fields of `measure.api.Lens`.
+
+    Attributes:
+        calibration: of the camera, if there is one.
+        camera: the camera's name in it.
+        focal_px: the focal length without a calibration; 0.72 times the longer side if omitted.
+    """
+
+    calibration: Path | None = None
+    camera: str | None = None
+    focal_px: float | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _DetectorOptions:
+    """What searches.
+
+    Attributes:
+        profile: `precise`, `paper`, or the path of a profile of your own (.toml).
+        detector: a detector plugin to use instead of the profile's.
+        set_: a setting as detector.NAME=VALUE; may be repeated.
+    """
+
+    profile: str = "precise"
+    detector: str | None = None
+    set_: SettingTexts = ()
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _WriteOptions:
+    """What is written.
+
+    Attributes:
+        out: folder for copies of the pictures with the balls drawn in.
+        sample: BALL=U,V: a pixel on the ball, from which its colour is taken; may be repeated.
+        write_body: a body file to write, with the colours that the balls have in the picture: those
+            of `--sample`, else of `--expect`, inside their outlines.
+    """
+
+    out: OutFile | None = None
+    sample: tuple[str, ...] = ()
+    write_body: Path | None = None
+    overwrite: Overwrite = False
+
+
 def detect(
     *pictures: Path,
     body: Path,
-    calibration: Path | None = None,
-    camera: str | None = None,
-    focal_px: float | None = None,
+    lens: _LensOptions = _LensOptions(),
     expect: tuple[str, ...] = (),
-    profile: str = "precise",
-    detector: str | None = None,
-    set_: SettingTexts = (),
-    out: OutFile | None = None,
-    sample: tuple[str, ...] = (),
-    write_body: Path | None = None,
+    method: _DetectorOptions = _DetectorOptions(),
+    to: _WriteOptions = _WriteOptions(),
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -38,48 +86,36 @@ def detect(
     Args:
         pictures: picture files of one camera.
         body: the body's file: the balls' colours and radii.
-        calibration: of the camera, if there is one.
-        camera: the camera's name in it.
-        focal_px: the focal length without a calibration; 0.72 times the longer side if omitted.
         expect: BALL=U,V,R: look for the ball round (U, V) px with radius R px; may be repeated.
-        profile: `precise`, `paper`, or the path of a profile of your own (.toml).
-        detector: a detector plugin to use instead of the profile's.
-        set_: a setting as detector.NAME=VALUE; may be repeated.
-        out: folder for copies of the pictures with the balls drawn in.
-        sample: BALL=U,V: a pixel on the ball, from which its colour is taken; may be repeated.
-        write_body: a new body file, with the colours that the balls have in the picture: those of
-            `--sample`, else of `--expect`, inside their outlines.
     """
     from measure import api
-    from measure.errors import ConfigError
-    from measure.session import read_body
 
     if not pictures:
         raise ConfigError("no picture is given: measure detect PICTURE... --body BODY.toml")
-    clicks, asked = dict(map(api.parse_click, sample)), [api.parse_expectation(t) for t in expect]
-    if write_body is not None:
-        api.check_new_body(write_body)
-    alone = write_body is not None and (len(pictures) > 1 or not (clicks or asked))
-    if alone or (clicks and write_body is None):
+    new, asked = to.write_body, [api.parse_expectation(text) for text in expect]
+    clicks = dict(map(api.parse_click, to.sample))
+    if (new and (len(pictures) > 1 or not (clicks or asked))) or (clicks and not new):
         raise ConfigError(
             "--write-body takes one picture and --sample or --expect; --sample needs it"
         )
-    known = read_body(body)
-    chosen = api.choose(api.load_profile(profile), {"detector": detector}, set_)
-    with console.progress("looking", "pictures") as report:
-        lens = api.Lens(calibration, camera, focal_px)
-        seen = api.detect(pictures, registry, chosen, known, lens, asked, out, report)
-    if write_body is not None:
-        outlined = [ball for ball, _ in asked if ball not in clicks]
-        api.write_sampled_body(write_body, known, seen[0], clicks, outlined)
+    drawn = api.drawings(pictures, to.out, to.overwrite)
+    with api.output(new, to.overwrite) as file, console.progress("looking", "pictures") as report:
+        known, camera = api.read_body(body), api.Lens(**vars(lens))
+        given = api.load_profile(method.profile)
+        chosen = api.choose(given, {"detector": method.detector}, method.set_)
+        seen = api.detect(pictures, registry, chosen, known, camera, asked, report)
+        api.draw(seen, drawn)
+        if new is not None:
+            outlined = [ball for ball, _ in asked if ball not in clicks]
+            api.write_sampled_body(file, known, seen[0], clicks, outlined)
     if json:
         console.print_json({"pictures": [_values(one) for one in seen]})
         return
     _print(seen)
-    if out is not None:
-        console.print_text(f"drawn in {out}")
-    if write_body is not None:
-        console.print_text(f"body with the colours of {seen[0].picture.name}: {write_body}")
+    if to.out is not None:
+        console.print_text(f"drawn in {to.out}")
+    if new is not None:
+        console.print_text(f"body with the colours of {seen[0].picture.name}: {new}")
 
 
 def _values(one: SeenPicture) -> dict[str, object]:

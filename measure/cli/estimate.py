@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 
 if TYPE_CHECKING:
     from measure.learning import Zeroing
@@ -22,7 +22,8 @@ def estimate(
     /,
     *,
     input_: Annotated[Path | None, Parameter(name="--input")] = None,
-    output: Annotated[Path | None, Parameter(name=("--out", "-o", "--output"))] = None,
+    out: OutFile | None = None,
+    overwrite: Overwrite = False,
     rezero: Path | None = None,
     true_positions: Path | None = None,
     host: str = "127.0.0.1",
@@ -39,7 +40,7 @@ def estimate(
     Args:
         model: an ONNX file made by `measure train`, or `shipped` for the one that comes along.
         input_: recorded states: Parquet, text or a bag.
-        output: where to write the errors and the corrected positions with their SDs (.parquet or
+        out: where to write the errors and the corrected positions with their SDs (.parquet or
             .csv).
         rezero: a short measured data set of today: finds how the joints were homed, and says
             whether the cables have changed.
@@ -53,23 +54,23 @@ def estimate(
     from measure import api
     from measure.errors import ConfigError
 
-    if (input_ is None) and (output is not None):
+    if input_ is None and out is not None:
         raise ConfigError("--out needs --input: live estimates go back by UDP")
-    if input_ is not None and output is None:
+    if input_ is not None and out is None:
         raise ConfigError("--input needs --out: where shall the errors go?")
     if input_ is None and true_positions is not None:
         raise ConfigError("--true-positions needs --input: live ones come by UDP")
     path = api.model_file(model)
-    if output is not None:
-        api.check_estimates(output, [input_, path, rezero, true_positions])
-    zeroing = None if rezero is None else _zeroing(path, rezero)
-    if input_ is not None and output is not None:
+    read = [one for one in (input_, path, rezero, true_positions) if one]
+    with api.output(out, overwrite, read) as file:
+        zeroing = None if rezero is None else _zeroing(path, rezero)
+        if input_ is None:
+            _serve(path, (host, port), zeroing, seconds, json=json, realtime=realtime)
+            return
         counts = api.estimate_file(
-            path, input_, output, zeroing, true_positions=true_positions, on_drift=console.note
+            path, input_, file, zeroing, true_positions=true_positions, on_drift=console.note
         )
-        _conclude(counts, json, f"written to {output}")
-    else:
-        _serve(path, (host, port), zeroing, seconds, json=json, realtime=realtime)
+    _conclude(counts, json, f"written to {out}")
 
 
 def _zeroing(model: Path, stretch: Path) -> Zeroing:

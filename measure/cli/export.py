@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 
 
 def export(
@@ -17,7 +17,7 @@ def export(
     *,
     format_: Annotated[str, Parameter(name=("--format", "-f"))],
     out: OutFile | None = None,
-    overwrite: bool = False,
+    overwrite: Overwrite = False,
     body: str | None = None,
     smooth: float | None = None,
     velocity: bool = False,
@@ -30,7 +30,6 @@ def export(
         format_: csv (poses with covariances), tum (evo; metres), trc (OpenSim markers), c3d
             (markers) or mcap (ROS 2; metres).
         out: the file to write; export.FORMAT in the run's folder if omitted.
-        overwrite: replace a file that is there.
         body: which body, of a run of several; all if omitted.
         smooth: smooth the unflagged poses by cubics over so many seconds on either side; they are
             as measured if omitted. Of csv, tum and mcap.

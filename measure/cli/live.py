@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import (
     BodyOptions,
     CaptureOptions,
@@ -37,14 +37,13 @@ class _DestinationOptions:
 
     Attributes:
         out: the run's folder, made if it is not there.
-        overwrite: throw an earlier run in the folder away.
-        record: a session folder, new or empty, to record the pictures into as well.
+        record: a session folder to record the pictures into as well.
         send: where every pose is sent, such as udp://127.0.0.1:5005; may be repeated.
         marks: where event marks come from, udp://:PORT or lsl:NAME; may be repeated.
     """
 
     out: OutFile
-    overwrite: bool = False
+    overwrite: Overwrite = False
     record: Path | None = None
     send: tuple[str, ...] = ()
     marks: tuple[str, ...] = ()
@@ -90,6 +89,7 @@ def live(
         viewer=viewer.address(),
         overwrite=to.overwrite,
         reference=bodies.reference or "",
+        on_outage=note_outage,
     )
     if not bodies.body:
         raise ConfigError("what is to be measured? give --body FILE")
@@ -97,9 +97,7 @@ def live(
     for line in api.usb_notes(given, calibration, request):
         console.note(line)
     lines = _StateLines()
-    end = api.live(
-        given, to.out, calibration, bodies.body, chosen, registry, options, lines, note_outage
-    )
+    end = api.live(given, to.out, calibration, bodies.body, chosen, registry, options, lines)
     if json:
         console.print_json({"run": str(to.out), **end.summary.values(), **_numbers(end)})
     else:

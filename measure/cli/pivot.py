@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 
 if TYPE_CHECKING:
     from measure.api import TipResult
@@ -16,7 +16,8 @@ def pivot(
     run: Path,
     /,
     *,
-    output: OutFile | None = None,
+    out: OutFile | None = None,
+    overwrite: Overwrite = False,
     spin: Path | None = None,
     body: str | None = None,
     json: JsonFlag = False,
@@ -28,26 +29,23 @@ def pivot(
 
     Args:
         run: the run's folder.
-        output: body file to write: the same balls, with the origin at the tip.
+        out: body file to write: the same balls, with the origin at the tip.
         spin: another run, in which the tool is spun about its own axis: the body's z becomes this
             axis, from the tip towards the balls.
         body: which body, of a run of several.
     """
     from measure import api
-    from measure.api.outputs import check_replaceable
-    from measure.session import read_body, write_body
+    from measure.session import write_body
 
-    if output is not None:
-        check_replaceable(output, read_body, "body")
-    found = api.pivot(run, spin, body)
-    if output is not None:
-        write_body(output, found.body)
+    with api.output(out, overwrite) as file:
+        found = api.pivot(run, spin, body)
+        write_body(file, found.body)
     if json:
-        console.print_json({"run": str(run), **_values(found), "output": output})
+        console.print_json({"run": str(run), **_values(found), "output": out})
         return
     _print(found)
-    if output is not None:
-        console.print_text(f"wrote {output}: measure with it, and positions are the tip's")
+    if out is not None:
+        console.print_text(f"wrote {out}: measure with it, and positions are the tip's")
 
 
 def _print(found: TipResult) -> None:

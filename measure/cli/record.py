@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import BodyOptions, CaptureOptions
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ _LISTED = 10  # Outages of a camera that are listed at the end; of more, the lat
 def record(
     *cameras: str,
     out: OutFile,
+    overwrite: Overwrite = False,
     calibration: Path | None = None,
     bodies: BodyOptions = BodyOptions(),
     capture: CaptureOptions = CaptureOptions(),
@@ -37,7 +38,7 @@ def record(
     Args:
         cameras: NAME=ADDRESS each: http://... of a motion-JPEG stream, rtsp://..., the number of a
             camera of this machine (0 for /dev/video0), or a video file, played at its own pace.
-        out: the session's folder, new or empty.
+        out: the session's folder.
         calibration: the cameras' calibration, copied into the session as the bodies' files are;
             they may come later.
         spawn: open the viewer, and see there what the cameras show.
@@ -49,18 +50,16 @@ def record(
     for line in api.usb_notes(given, calibration, request):
         console.note(line)
     preview = _preview([one.name for one in given]) if spawn else None
+    options = api.CaptureOptions(request, capture.seconds, overwrite, preview, note_outage)
     with console.progress("recording", "pictures") as report:
         recorded = api.record(
             given,
             out,
+            options,
             calibration=calibration,
             bodies=bodies.body,
             reference=bodies.reference or "",
-            request=request,
-            seconds=capture.seconds,
             on_state=lambda counts: report(sum(c.pictures for c in counts.values()), None),
-            on_outage=note_outage,
-            on_image=preview,
         )
     if json:
         console.print_json(recorded)

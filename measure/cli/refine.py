@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import CalibrationFormat, JsonFlag, OutFile
+from measure.cli.console import CalibrationFormat, JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
 from measure.errors import ConfigError
 
@@ -26,14 +26,15 @@ class _OutputOptions:
     """The files to write.
 
     Attributes:
-        output: the calibration to write.
+        out: the calibration to write.
         file_format: of the output; only "triball" holds covariances and notes.
         body_output: body file to write, with the balls where the recording puts them.
     """
 
-    output: OutFile
+    out: OutFile
     file_format: CalibrationFormat = "triball"
     body_output: Path | None = None
+    overwrite: Overwrite = False
 
 
 def refine(
@@ -57,28 +58,25 @@ def refine(
             what the body file states, or 0.05, if omitted.
     """
     from measure.api import refine as run
-    from measure.api.outputs import check_apart, check_replaceable
+    from measure.api.outputs import check_apart, output
     from measure.calibration import RefineSettings
-    from measure.session import read_body, read_calibration, write_body, write_calibration
+    from measure.session import write_body, write_calibration
 
-    check_replaceable(to.output, read_calibration, "calibration")
-    if to.body_output is not None:
-        check_replaceable(to.body_output, read_body, "body")
-        check_apart(to.output, to.body_output)
-    given = body_tolerance_mm
-    if given is not None and not 0 <= given < math.inf:
-        raise ConfigError(f"--body-tolerance-mm {given:g}: must be 0 or more")
-    settings = RefineSettings(given)
-    with console.progress("measuring") as progress:
-        result = run(session, registry, profile, settings, calibration, progress)
-    write_calibration(to.output, result.calibration, to.file_format)
-    if to.body_output is not None:
-        write_body(to.body_output, result.body)
+    given, outs = body_tolerance_mm, [to.out, *([to.body_output] if to.body_output else [])]
+    check_apart(*outs)
+    with output(to.out, to.overwrite) as file, output(to.body_output, to.overwrite) as body:
+        if given is not None and not 0 <= given < math.inf:
+            raise ConfigError(f"--body-tolerance-mm {given:g}: must be 0 or more")
+        with console.progress("measuring") as report:
+            settings = RefineSettings(given)
+            result = run(session, registry, profile, settings, calibration, report)
+        write_calibration(file, result.calibration, to.file_format)
+        write_body(body, result.body)
     if json:
-        console.print_json({"output": to.output, **result.calibration.provenance})
+        console.print_json({"output": to.out, **result.calibration.provenance})
         return
     _print(result)
-    console.print_text(f"wrote {to.output}" + (f" and {to.body_output}" if to.body_output else ""))
+    console.print_text(f"wrote {' and '.join(map(str, outs))}")
 
 
 def _print(result: RefineResult) -> None:

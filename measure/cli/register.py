@@ -10,7 +10,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import RobotOptions
 
 if TYPE_CHECKING:
@@ -39,7 +39,8 @@ def register(
     runs: tuple[Path, ...] = (),
     /,
     *,
-    output: OutFile,
+    out: OutFile,
+    overwrite: Overwrite = False,
     source: RobotOptions = RobotOptions(),
     options: _RegisterOptions = _RegisterOptions(),
     json: JsonFlag = False,
@@ -52,25 +53,23 @@ def register(
 
     Args:
         runs: run folders, or tables of poses; the cameras and the body stayed where they were.
-        output: the frame to write, for `measure dataset --frame`.
+        out: the frame to write, for `measure dataset --frame`.
     """
     from measure import api
-    from measure.api.outputs import check_replaceable
-    from measure.learning.frames import read_frame, write_frame
+    from measure.learning.frames import write_frame
     from measure.learning.registration import RegisterOptions
 
-    check_replaceable(output, read_frame, "frame")
-    found = api.register(
-        runs, source.robot_log, source.robot, RegisterOptions(**asdict(options)), topic=source.topic
-    )
-    write_frame(output, found)
+    with api.output(out, overwrite) as file:
+        logs, robot, topic = source.robot_log, source.robot, source.topic
+        found = api.register(runs, logs, robot, RegisterOptions(**asdict(options)), topic=topic)
+        write_frame(file, found)
     if json:
-        console.print_json({"output": output, **found.values()})
+        console.print_json({"output": out, **found.values()})
     else:
-        _print(found, output)
+        _print(found, out)
 
 
-def _print(found: RobotFrame, output: Path) -> None:
+def _print(found: RobotFrame, out: Path) -> None:
     sd = np.sqrt(np.diag(found.covariance))
     for k, name in enumerate(("world_from_base", "flange_from_body")):
         pose: RigidTransform = getattr(found, name)
@@ -89,7 +88,7 @@ def _print(found: RobotFrame, output: Path) -> None:
     )
     for sentence in facts["not_separable"]:
         console.print_text(sentence)
-    console.print_text(f"wrote {output}: pair with `measure dataset --frame {output}`")
+    console.print_text(f"wrote {out}: pair with `measure dataset --frame {out}`")
 
 
 def _words(values: Floats) -> str:

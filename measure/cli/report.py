@@ -5,11 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import OutFile
+from measure.cli.console import OutFile, Overwrite
 
 
 def report(
-    run: Path, /, *, out: OutFile | None = None, truth: Path | None = None, body: str | None = None
+    run: Path,
+    /,
+    *,
+    out: OutFile | None = None,
+    overwrite: Overwrite = False,
+    truth: Path | None = None,
+    body: str | None = None,
 ) -> None:
     """Write a run's report as one HTML file.
 
@@ -23,4 +29,4 @@ def report(
     """
     from measure import api
 
-    console.print_text(str(api.report(run, out, truth, body)))
+    console.print_text(str(api.report(run, out, truth, body, overwrite)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import BodyOptions, InjectedRegistry, ProfileOptions, ViewerOptions
 from measure.errors import ConfigError
 
@@ -27,13 +27,12 @@ class _ExecutionOptions:
 
     Attributes:
         resume: finish an interrupted run as if it never was; what it kept is measured again.
-        overwrite: throw an earlier run in the folder away.
         workers: how many sessions to measure at a time; as many as there are cores.
         cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do the work.
     """
 
     resume: bool = False
-    overwrite: bool = False
+    overwrite: Overwrite = False
     workers: int | None = None
     cluster: str | None = None
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from measure.cli import console
+from measure.cli.console import OutFile, Overwrite
 
 
 def simulate(
-    folder: Path,
-    /,
     *,
+    out: OutFile,
+    overwrite: Overwrite = False,
     seconds: float = 60.0,
     frame_hz: float = 15.0,
     seed: int = 1,
@@ -20,7 +19,7 @@ def simulate(
     """Render a recording of the simulated RAVEN-II, with its log and its truth.
 
     Args:
-        folder: of the session; made if missing. The robot's log is `robot.parquet` in it.
+        out: the session's folder. The robot's log is `robot.parquet` in it.
         seconds: length of the recording.
         frame_hz: frame sets per second.
         seed: of motion, restart and pictures.
@@ -29,9 +28,12 @@ def simulate(
     """
     from measure import api
 
-    with console.progress("rendering", unit="pictures") as report:
+    with (
+        api.new_folder(out, overwrite, "session.toml"),
+        console.progress("rendering", unit="pictures") as report,
+    ):
         api.simulate_recording(
-            folder,
+            out,
             seconds=seconds,
             frame_hz=frame_hz,
             seed=seed,
@@ -39,4 +41,4 @@ def simulate(
             wear=wear,
             progress=report,
         )
-    console.print_text(f"written to {folder}; measure it with: measure run {folder} -o RUN")
+    console.print_text(f"written to {out}; measure it with: measure run {out} -o RUN")

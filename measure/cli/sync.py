@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
 
 
@@ -13,8 +13,8 @@ def sync(
     session: Path,
     /,
     *,
-    output: OutFile | None = None,
-    overwrite: bool = False,
+    out: OutFile | None = None,
+    overwrite: Overwrite = False,
     seconds: float = 120.0,
     profile: str = "precise",
     json: JsonFlag = False,
@@ -27,8 +27,7 @@ def sync(
 
     Args:
         session: the session's folder.
-        output: a new session file to write instead of the session's own, in the same folder.
-        overwrite: replace offsets, or an output, that are there.
+        out: a new session file to write instead of the session's own, in the same folder.
         seconds: how much of each recording is looked at, from its start.
         profile: how to measure the session, by name or TOML file.
     """
@@ -36,10 +35,10 @@ def sync(
 
     chosen = api.load_profile(profile)
     with console.progress("looking", "pictures") as report:
-        clocks = api.sync(session, registry, chosen, output, overwrite, seconds, report)
+        clocks = api.sync(session, registry, chosen, out, overwrite, seconds, report)
     if json:
         console.print_json({name: clock._asdict() for name, clock in clocks.items()})
         return
     rows = [(name, clock.offset_s, 1e3 * clock.sd_s) for name, clock in clocks.items()]
     console.print_table(("camera", "added_s", "sd_ms"), rows)
-    console.print_text(f"wrote {output or session}")
+    console.print_text(f"wrote {out or session}")

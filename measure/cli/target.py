@@ -5,20 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 
 
-def target(target_file: Path, /, *, output: OutFile | None = None, json: JsonFlag = False) -> None:
+def target(
+    target_file: Path,
+    /,
+    *,
+    out: OutFile | None = None,
+    overwrite: Overwrite = False,
+    json: JsonFlag = False,
+) -> None:
     """Draw a printable board, marker field or body.
 
     Args:
         target_file: TOML of the target, or the name of one that comes with the program:
             charuco_8x5_27, chessboard_9x6_25, raven_markers_16, raven_three_ball.
-        output: .pdf or .svg to write; the target's name with .pdf in this folder if omitted.
+        out: .pdf or .svg to write; the target's name with .pdf in this folder if omitted.
     """
     from measure.api import draw_target
 
-    sheet, written = draw_target(target_file, output)
+    sheet, written = draw_target(target_file, out, overwrite)
     width, height = sheet.size_mm
     if json:
         size = [width, height]

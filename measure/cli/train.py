@@ -10,7 +10,7 @@ from pathlib import Path
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile, shares
+from measure.cli.console import JsonFlag, OutFile, Overwrite, shares
 from measure.cli.options import InjectedRegistry, SettingTexts
 
 
@@ -62,6 +62,7 @@ def train(
     /,
     *,
     out: OutFile,
+    overwrite: Overwrite = False,
     fit: _FitOptions = _FitOptions(),
     split: _SplitOptions = _SplitOptions(),
     about: str = "",
@@ -85,6 +86,7 @@ def train(
         settings=api.parse_settings(fit.set_),
         seed=fit.seed,
         resume=fit.resume,
+        overwrite=overwrite,
         **asdict(split),
         notes={"command": "measure " + shlex.join(sys.argv[1:])}
         | ({"about": about} if about else {}),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.errors import ConfigError
 
 
@@ -21,7 +21,8 @@ def world(
     at: float | None = None,
     rest: int | None = None,
     points: tuple[int, int, int] | None = None,
-    output: OutFile,
+    out: OutFile,
+    overwrite: Overwrite = False,
     body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
@@ -39,28 +40,26 @@ def world(
         rest: number of a rest (`measure rests`); the longest, if no place is given.
         points: three rests of a pivoted tip instead: at the origin, on the x axis, and beside it
             where y is positive.
-        output: the calibration to write.
+        out: the calibration to write.
         body: which body, of a run of several.
     """
     from measure import api
-    from measure.api.outputs import check_replaceable
-    from measure.session import read_calibration, write_calibration
 
-    check_replaceable(output, read_calibration, "calibration")
-    if run is not None and board is None and pictures is None:
-        found, place = api.world(calibration, run, at, rest, points, body)
-    elif run is None and board is not None and pictures is not None:
-        found, place = api.world_by_board(calibration, board, pictures)
-    else:
-        raise ConfigError("say where the world is: --run RUN, or --board FILE --pictures FOLDER")
-    write_calibration(output, found)
+    with api.output(out, overwrite) as file:
+        if run is not None and board is None and pictures is None:
+            found, place = api.world(calibration, run, at, rest, points, body)
+        elif run is None and board is not None and pictures is not None:
+            found, place = api.world_by_board(calibration, board, pictures)
+        else:
+            raise ConfigError("say where it is: --run RUN, or --board FILE --pictures FOLDER")
+        api.write_calibration(file, found)
     pose, sd = place.transform, np.sqrt(np.diag(place.covariance))
     if json:
         where = {"quat_wxyz": pose.quat_wxyz, "translation_mm": pose.translation}
-        console.print_json({"output": output, **where, "covariance": place.covariance})
+        console.print_json({"output": out, **where, "covariance": place.covariance})
         return
     at_mm = ", ".join(f"{value:.3f}" for value in pose.translation)
     console.print_text(
-        f"wrote {output}: its origin is at ({at_mm}) mm of the old world, known to "
+        f"wrote {out}: its origin is at ({at_mm}) mm of the old world, known to "
         f"{np.linalg.norm(sd[:3]):.3f} mm and {np.degrees(np.linalg.norm(sd[3:])):.3f} deg (3-D)"
     )

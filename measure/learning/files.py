@@ -33,7 +33,6 @@ def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], s
     import pyarrow as pa
     from pyarrow import parquet
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     columns: dict[str, Any] = {
         "trajectory": pa.array(np.array(data.names)[data.trajectory]).dictionary_encode(),
         "time_s": data.times_s,

@@ -198,25 +198,17 @@ def correct_file(
 
     Writes Parquet or CSV: `run, i, t_s`, the errors `ex, ey, ez` in mm with `sd_mm` (3-D) and
     `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`.
-    The file is there when all of it is.
     """
     corrector, schema = Corrector(model, zeroing, follower, true), schema_of(model)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    fresh = out.with_name(f"{out.name}.new")
-    fresh.unlink(missing_ok=True)
-    try:
-        with ExitStack() as opened:
-            writer: Any = None
-            for table in read_states(states, model):
-                reported = schema.position_mm(table.states)
-                rows = pa.table(_columns(table, corrector.correct(table), reported))
-                if writer is None:
-                    kind = csv.CSVWriter if out.suffix == ".csv" else parquet.ParquetWriter
-                    writer = opened.enter_context(kind(fresh, rows.schema))
-                writer.write_table(rows)
-        fresh.replace(out)
-    finally:
-        fresh.unlink(missing_ok=True)
+    with ExitStack() as opened:
+        writer: Any = None
+        for table in read_states(states, model):
+            reported = schema.position_mm(table.states)
+            rows = pa.table(_columns(table, corrector.correct(table), reported))
+            if writer is None:
+                kind = csv.CSVWriter if out.suffix == ".csv" else parquet.ParquetWriter
+                writer = opened.enter_context(kind(out, rows.schema))
+            writer.write_table(rows)
     return corrector.counts
 
 

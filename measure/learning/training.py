@@ -47,6 +47,7 @@ def train(
     *,
     seed: int,
     report: Report,
+    checkpoint: Path | None = None,
     resume: bool = False,
     folds: int = 4,
     notes: Mapping[str, str] | None = None,
@@ -56,7 +57,8 @@ def train(
     Args:
         split: training, validation (chooses and stops) and test trajectories (judged only here).
         out: the ONNX file to write; `OUT.card.md` and `OUT.card.json` go beside it.
-        resume: go on from where an interrupted fit to the same `out` got to.
+        checkpoint: folder of what an interrupted fit leaves; `OUT.checkpoint` if omitted.
+        resume: go on from where such a one got to.
         folds: groups of recordings left out in turn to judge the covariance; 0 leaves none out.
         notes: further lines of the card.
     """
@@ -68,8 +70,8 @@ def train(
                 f"all errors of the {what} trajectories are 0: the robot needs no correction, or "
                 "the labels are missing"
             )
-    out.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint = out.with_suffix(".checkpoint")
+    checkpoint = checkpoint or out.with_suffix(".checkpoint")
+    checkpoint.parent.mkdir(parents=True, exist_ok=True)
     if not resume:
         shutil.rmtree(checkpoint, ignore_errors=True)
     estimator.checkpoint, estimator.folds = checkpoint, folds

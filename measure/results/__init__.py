@@ -1,7 +1,7 @@
 """The run folder: written row by row, read back, evaluated, exported."""
 
 from measure.results.evaluation import RunEvaluation, evaluate
-from measure.results.folder import refuse_other_writer
+from measure.results.folder import check_run_folder
 from measure.results.provenance import Provenance, digest, versions
 from measure.results.run import Run, read_run, read_runs
 from measure.results.single_errors import Marks, read_marks
@@ -9,7 +9,6 @@ from measure.results.summary import Summary
 from measure.results.writer import RunWriter
 
 __all__ = [
-    "Marks", "Provenance", "Run", "RunEvaluation", "RunWriter", "Summary",
-    "digest", "evaluate", "read_marks", "read_run", "read_runs", "refuse_other_writer",
-    "versions",
+    "Marks", "Provenance", "Run", "RunEvaluation", "RunWriter", "Summary", "check_run_folder",
+    "digest", "evaluate", "read_marks", "read_run", "read_runs", "versions",
 ]  # fmt: skip

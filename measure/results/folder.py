@@ -86,11 +86,12 @@ class FolderLock:
             return False
 
 
-def refuse_other_writer(folder: Path) -> None:
-    """Refuse (RunError) a folder that another process is writing a run into."""
+def check_run_folder(folder: Path, resume: bool | None, overwrite: bool) -> None:
+    """Refuse (RunError) as `refuse_folder`, and while another process writes a run there."""
     with writing(folder):
         if (folder / LOCK_FILE).exists():
             FolderLock(folder).release()
+        refuse_folder(folder, resume, overwrite)
 
 
 def _this_process() -> dict[str, str | int]:
@@ -121,8 +122,11 @@ _BEFORE_A_RUN = {LOCK_FILE, unfinished(Path("run.toml")).name}
 """What may be left in a folder by a process that was killed before a run began."""
 
 
-def refuse_folder(folder: Path, resume: bool, overwrite: bool) -> None:
-    """Refuse a folder in which no run can be written, or not without losing one."""
+def refuse_folder(folder: Path, resume: bool | None, overwrite: bool) -> None:
+    """Refuse a folder in which no run can be written, or not without losing one.
+
+    Of a run that cannot be resumed `resume` is None.
+    """
     if resume and overwrite:
         raise RunError("--resume goes on with a run, --overwrite throws it away: give one of them")
     if folder.exists() and not folder.is_dir():
@@ -133,9 +137,8 @@ def refuse_folder(folder: Path, resume: bool, overwrite: bool) -> None:
         raise OSError(number, os.strerror(number))
     if (folder / "run.toml").exists():
         if not (resume or overwrite):
-            raise RunError(
-                f"{folder} holds a run already: --resume goes on, --overwrite starts anew"
-            )
+            goes_on = "" if resume is None else ", --resume goes on with it"
+            raise RunError(f"{folder}: is there already: --overwrite replaces it{goes_on}")
     elif folder.exists() and not {file.name for file in folder.iterdir()} <= _BEFORE_A_RUN:
         raise RunError(f"{folder} holds files but no run: choose a new folder with --out")
     _refuse_links(folder)

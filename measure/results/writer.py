@@ -15,7 +15,7 @@ import pyarrow as pa
 from measure.errors import RunError
 from measure.measuring import Measurement, relative_measurements
 from measure.model import Body, Camera
-from measure.results.folder import FolderLock, clear, own_files, refuse_folder, refuse_other_writer
+from measure.results.folder import FolderLock, check_run_folder, clear, own_files, refuse_folder
 from measure.results.journal import (
     GrowingFile,
     Journal,
@@ -91,11 +91,9 @@ class RunWriter:
         self._files = ExitStack()
         self._begun = self._in_place = False
         self._flushed_s = clock()
-        with writing(folder):
-            refuse_other_writer(folder)
-            refuse_folder(folder, resume, overwrite)
-            if self._goes_on():
-                refuse_other_run(folder, provenance)
+        check_run_folder(folder, resume, overwrite)
+        if self._goes_on():
+            refuse_other_run(folder, provenance)
 
     @property
     def kept(self) -> int:

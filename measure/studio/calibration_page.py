@@ -37,7 +37,7 @@ class _Wave:
     def draw(self) -> None:
         """Draw the board, to be printed."""
         out = self.bench.folder / f"{self.target().stem}.pdf"
-        self.printed = api.draw_target(self.target(), out)[1]
+        self.printed = api.draw_target(self.target(), out, overwrite=True)[1]
 
     def take(self, body: Path | None) -> None:
         """Take pictures of the board until they are enough."""
@@ -50,12 +50,10 @@ class _Wave:
                 cameras,
                 self.target(),
                 out,
+                api.CaptureOptions(bench.request, on_image=bench.preview.add, stop=job.stop),
                 body=body,
                 goal_mm=self.goal_mm,
-                request=bench.request,
                 on_state=lambda state: setattr(self, "state", state),
-                on_image=bench.preview.add,
-                stop=job.stop,
             )
             return f"{out.name}: {last.sentence() if last else 'no picture came'}"
 
@@ -69,7 +67,7 @@ class _Wave:
         out = self.bench.folder / CALIBRATION
 
         def work(job: Job) -> str:
-            made = api.calibrate_to(out, capture, body=body, progress=job.progress)
+            made = api.calibrate_to(out, capture, body=body, progress=job.progress, overwrite=True)
             self.result, self.report = made
             return f"{capture.name} gave {CALIBRATION}; {self.result.lines()[-1]}"
 

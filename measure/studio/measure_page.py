@@ -40,19 +40,18 @@ class _Live:
         """Record until it is stopped."""
         bench, session = self.bench, self._next("session")
         cameras, calibration = bench.addresses(), next(iter(calibrations), None)
+        look = bench.preview.add
+        options = api.CaptureOptions(bench.request, seconds=self.seconds, on_image=look)
 
         def work(job: Job) -> str:
             self.session, self.run, self.report = session, None, None
             recorded = api.record(
                 cameras,
                 session,
+                replace(options, stop=job.stop),
                 calibration=calibration,
                 bodies=bodies,
-                request=bench.request,
-                seconds=self.seconds,
                 on_state=bench.note_counts,
-                on_image=bench.preview.add,
-                stop=job.stop,
             )
             pictures = sum(count.pictures for count in recorded.cameras.values())
             return f"{session.name}: {pictures} pictures of {len(cameras)} cameras"

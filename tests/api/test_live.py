@@ -261,7 +261,7 @@ def test_an_earlier_run_is_thrown_away_only_if_asked(session, tmp_path, capsys):
     (tmp_path / "run.toml").touch()
     addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
     assert main(words("live", session, addresses, tmp_path)) == 2
-    assert "holds a run already: --overwrite throws it away" in capsys.readouterr().err
+    assert "is there already: --overwrite replaces it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("out", ["kept", "kept/run", "kept/../kept"])

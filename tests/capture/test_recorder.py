@@ -99,13 +99,6 @@ def test_pictures_that_come_after_the_end_leave_nothing(tmp_path, paper_body, ca
     assert list((folder / "cam0").iterdir()) == []
 
 
-def test_a_folder_that_holds_something_is_not_touched(tmp_path):
-    (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(CaptureError, match="is there already: give a new folder"):
-        Recorder(tmp_path, {"cam0": "x"})
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-
-
 def test_a_folder_that_vanishes_is_told_in_one_line(tmp_path):
     import shutil
 
@@ -150,13 +143,10 @@ def test_full_disk_is_reported_though_closing_fails_too(tmp_path):
         recorder.add(next(pictures()))
 
 
-def test_the_second_of_two_that_begin_at_once_writes_nothing(
-    tmp_path, paper_body, cameras, monkeypatch
-):
+def test_the_second_of_two_that_begin_at_once_writes_nothing(tmp_path, paper_body, cameras):
     """Both have found the folder free."""
     folder = recorded(tmp_path / "s", paper_body, cameras)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    monkeypatch.setattr("measure.capture.recorder.check_new", lambda *_: None)
     with pytest.raises(CaptureError, match="cam0: cannot be written: File exists"):
         Recorder(folder, dict.fromkeys(NAMES, "other"), [], [])
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before

@@ -134,7 +134,7 @@ def test_an_earlier_run_is_not_overwritten(recording: Recording, capsys) -> None
     assert main([*run_words(recording)]) == 0
     capsys.readouterr()
     line = complaint(capsys, *run_words(recording))
-    assert "holds a run already: --resume goes on, --overwrite starts anew" in line
+    assert "is there already: --overwrite replaces it, --resume goes on with it" in line
 
 
 @pytest.fixture

@@ -32,7 +32,8 @@ def test_demo_measures_what_it_rendered(tmp_path, capsys, monkeypatch) -> None:
     assert picture.shape == (720, 1280, 3)
 
     # Again, with another profile, over the first; a table this time.
-    assert main(["demo", "-o", str(out), "--frames", "2", "--profile", "paper"]) == 0
+    words = ["demo", "-o", str(out), "--frames", "2", "--profile", "paper", "--overwrite"]
+    assert main(words) == 0
     text = capsys.readouterr().out
     assert "2 of 2 poses" in text or "of 2 frame sets" in text
     assert f"measure view {out / 'run'}" in text
@@ -41,8 +42,8 @@ def test_demo_measures_what_it_rendered(tmp_path, capsys, monkeypatch) -> None:
 
 def test_demo_overwrites_nothing_but_a_demo(tmp_path, capsys) -> None:
     (tmp_path / "thesis.txt").write_text("important")
-    assert main(["demo", "-o", str(tmp_path)]) == 2
-    assert "name another folder with -o" in capsys.readouterr().err
+    assert main(["demo", "-o", str(tmp_path), "--overwrite"]) == 2
+    assert "holds no session/session.toml: give a new folder" in capsys.readouterr().err
     assert main(["demo", "-o", str(tmp_path / "new"), "--frames", "0"]) == 2
     assert "at least one" in capsys.readouterr().err
 

@@ -82,7 +82,7 @@ def test_a_body_is_written_with_the_colours_of_a_picture(still, picture, tmp_pat
     assert any(d["ball"] == "yellow" for d in near)
     text = new.read_bytes()
     line = complaint(capsys, "detect", picture, "--body", still / "body.toml", *words)
-    assert "is there already, and is not written over" in line
+    assert "is there already: --overwrite replaces it" in line
     assert new.read_bytes() == text
 
 

@@ -24,8 +24,8 @@ def test_nothing_is_overwritten_by_a_slip(recording: Recording, capsys) -> None:
     before = (run / "poses.csv").read_bytes()
     both = complaint(capsys, *run_words(recording, "--resume", "--overwrite"))
     assert "--resume goes on with a run, --overwrite throws it away" in both
-    said = complaint(capsys, "report", run, "-o", run / "poses.csv")
-    assert "poses.csv is there already and is no report" in said
+    said = complaint(capsys, "export", run, "-f", "csv", "-o", run / "poses.csv", "--overwrite")
+    assert "poses.csv: is one of the files to be read" in said
     assert (run / "poses.csv").read_bytes() == before
 
 
@@ -47,8 +47,8 @@ def test_a_run_is_compared_with_its_own_session_file(
     capsys.readouterr()
     assert main(["run", *words[1:], "--overwrite"]) == 0
     capsys.readouterr()
-    for command in ("evaluate", "report"):
-        assert "later.csv runs from 900.000" in complaint(capsys, command, run)
+    for words in (["evaluate", run], ["report", run, "--overwrite"]):
+        assert "later.csv runs from 900.000" in complaint(capsys, *words)
 
 
 @pytest.mark.parametrize(
@@ -114,25 +114,9 @@ def test_a_tolerance_that_is_none(recording: Recording, tmp_path: Path, capsys, 
     assert not out.exists()
 
 
-@pytest.mark.parametrize("command", ["calibrate", "refine"])
-def test_calibrations_replace_calibrations_only(recording: Recording, capsys, command: str) -> None:
-    session = recording.path / "session.toml"
-    before = session.read_bytes()
-    said = complaint(capsys, command, recording.path, "-o", session)
-    assert "session.toml is there already and is no calibration" in said
-    assert session.read_bytes() == before
-
-
 def test_a_calibrations_report_has_a_file_of_its_own(recording: Recording, capsys) -> None:
-    out, rows = recording.path / "c.html", recording.path / "cam0.csv"
-    words = ("calibrate", recording.path, "-o", out)
-    assert "needs a file each" in complaint(capsys, *words)
-    assert "cam0.csv is there already and is no report" in complaint(
-        capsys, *words, "--report", rows
-    )
-    assert "there is no folder" in complaint(
-        capsys, *words, "--report", recording.path / "no/r.html"
-    )
+    out = recording.path / "c.html"
+    assert "needs a file each" in complaint(capsys, "calibrate", recording.path, "-o", out)
 
 
 def test_a_run_does_not_go_on_with_another_tolerance(recording: Recording, capsys) -> None:

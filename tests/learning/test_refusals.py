@@ -19,7 +19,7 @@ pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
 def _estimate(folder: Path, states: str, *more: str) -> list[str]:
     words = ["estimate", str(folder / "model.onnx"), "--input", str(folder / states)]
-    return [*words, "--out", str(folder / "out.csv"), *more]
+    return [*words, "--out", str(folder / "out.csv"), "--overwrite", *more]
 
 
 def test_recorded_states_that_cannot_be_corrected(
@@ -61,7 +61,7 @@ def test_what_is_read_is_not_written_over(folder: Path, capsys: pytest.CaptureFi
     again.unlink(missing_ok=True)
     again.symlink_to(log)
     model, run = folder / "model.onnx", folder / "left.csv"
-    for out in (log, again):
+    for out in (log, again):  # with --overwrite, too
         line = _refused(capsys, "estimate", model, "--input", log, "--out", out)
         assert "is one of the files to be read" in line
         made = _refused(capsys, "dataset", run, "--robot-log", log, "--out", out)
@@ -93,7 +93,7 @@ def test_neither_a_model_nor_a_card_is_written_over(folder: Path, capsys) -> Non
     line = _refused(capsys, "estimate", model, "--input", folder / "left.parquet", "--out", model)
     assert "is one of the files to be read" in line
     line = _refused(capsys, "train", data, "-o", folder / "data.onnx", "--estimator", "offset")
-    assert "data.card.json, the card of the data: give the model another name" in line
+    assert "data.card.json: is one of the files to be read" in line
     assert (model.read_bytes(), card.read_bytes()) == before
 
 
@@ -108,10 +108,10 @@ def test_a_port_that_is_taken(folder: Path, capsys: pytest.CaptureFixture[str]) 
 @pytest.mark.parametrize(
     "words",
     [
-        ("simulate", "x", "--seconds", "-3"),
-        ("simulate", "x", "--seconds", "nan"),
-        ("simulate", "x", "--frame-hz", "0"),
-        ("simulate", "x", "--frame-hz", "inf"),
+        ("simulate", "-o", "x", "--seconds", "-3"),
+        ("simulate", "-o", "x", "--seconds", "nan"),
+        ("simulate", "-o", "x", "--frame-hz", "0"),
+        ("simulate", "-o", "x", "--frame-hz", "inf"),
         ("dataset", "--simulate-min", "-1", "--out", "x.parquet"),
         ("dataset", "--simulate-min", "nan", "--out", "x.parquet"),
         ("dataset", "--simulate-min", "5", "--restarts", "0", "--out", "x.parquet"),
@@ -121,9 +121,9 @@ def test_a_port_that_is_taken(folder: Path, capsys: pytest.CaptureFixture[str]) 
         ("dataset", "run", "--robot-log", "log", "--clock-offset-s", "inf", "--out", "x.parquet"),
         ("dataset", "--simulate-min", "5", "--seed", "-1", "--out", "x.parquet"),
         ("dataset", "--simulate-min", "5", "--wear", "0", "--out", "x.parquet"),
-        ("simulate", "x", "--seed", "-1"),
-        ("simulate", "x", "--clock-offset-s", "nan"),
-        ("simulate", "x", "--wear", "nan"),
+        ("simulate", "-o", "x", "--seed", "-1"),
+        ("simulate", "-o", "x", "--clock-offset-s", "nan"),
+        ("simulate", "-o", "x", "--wear", "nan"),
     ],
 )
 def test_numbers_that_make_no_data(
@@ -211,7 +211,7 @@ def test_outputs_that_cannot_be_written(folder: Path, capsys: pytest.CaptureFixt
         (("dataset", log, "--robot-log", log, "-o", folder / "taken.parquet"), "is a folder"),
         (("sweep", data, space, "--journal", folder / "taken.log"), "is a folder"),
         ((*estimate, folder / "taken.parquet"), "is a folder"),
-        ((*estimate, log / "x.csv"), "there is no folder"),
+        ((*estimate, log / "x.csv"), "left.csv is no folder"),
         ((*estimate, folder / "x.txt"), "must end with .parquet or .csv"),
         (("dataset", log, "--robot-log", log, "-o", folder / "x.csv"), "must end with .parquet"),
         (("dataset", "--simulate-min", 1, "-o", folder / "x.csv"), "must end with .parquet"),

@@ -137,7 +137,7 @@ def test_mistakes_are_told(made, tmp_path, capsys):
     own.write_text("mine = 1\n")
     assert main(["world", str(file), "--run", str(run), "-o", str(own)]) == 2
     assert own.read_text() == "mine = 1\n"
-    assert "no calibration" in capsys.readouterr().err
+    assert "is there already: --overwrite" in capsys.readouterr().err
 
 
 CHARUCO = Charuco((8, 5), 27.0, 20.0, "DICT_4X4_50")

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 from scipy.spatial.transform import Rotation
 
+from measure import api
 from measure.errors import ConfigError, RunError
 from measure.results import Run, RunWriter, read_run
 from measure.results.exports import FORMATS, export_run
@@ -143,9 +144,6 @@ def test_what_cannot_be_exported_is_explained(run: Run, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no export format is called 'c3'; did you mean c3d"):
         export_run([run], "c3", tmp_path / "x")
     export_run([run], "tum", tmp_path / "x.tum")
-    with pytest.raises(RunError, match=r"x\.tum is there already; --overwrite"):
-        export_run([run], "tum", tmp_path / "x.tum")
-    export_run([run], "tum", tmp_path / "x.tum", overwrite=True)
     with pytest.raises(RunError, match="cannot be written"):
         export_run([run], "tum", tmp_path / "none" / "x.tum")
 
@@ -157,11 +155,11 @@ def test_what_was_not_written_is_not_said_to_be(run, tmp_path, file_format, modu
     (tmp_path / "folder").mkdir()
     for path in (tmp_path / "none" / "x", tmp_path / "folder"):
         with pytest.raises(RunError, match="cannot be written"):
-            export_run([run], file_format, path, overwrite=True)
+            export_run([run], file_format, path)
     assert not list((tmp_path / "folder").iterdir())
     if file_format == "c3d" and Path("/dev/full").exists():
         with pytest.raises(RunError, match="cannot be written: No space left"):
-            export_run([run], file_format, Path("/dev/full"), overwrite=True)
+            export_run([run], file_format, Path("/dev/full"))
 
 
 def test_a_c3d_that_was_cut_is_not_said_to_be_whole(run, tmp_path, monkeypatch) -> None:
@@ -197,8 +195,8 @@ def test_a_folder_whose_name_is_no_text(run: Run, tmp_path: Path, file_format: s
 def test_a_runs_own_files_are_not_replaced(run: Run, name: str) -> None:
     (run.path / "x").mkdir(exist_ok=True)
     before = (run.path / name).read_bytes()
-    with pytest.raises(RunError, match="is a file of the run itself"):
-        export_run([run], "csv", run.path / name, overwrite=True)
+    with pytest.raises(ConfigError, match="is one of the files to be read"):
+        api.export(run.path, "csv", run.path / name, overwrite=True)
     assert (run.path / name).read_bytes() == before
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ import pytest
 from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.results import journal, read_run
-from measure.results.folder import FolderLock, refuse_other_writer
+from measure.results.folder import FolderLock, check_run_folder
 from measure.results.tables import SCHEMAS
 from tests.results.conftest import check_whole, frames_of, go_on, measurement, open_writer
 
@@ -166,16 +167,16 @@ def test_the_lock_ends_with_its_process_even_if_that_is_killed(folder: Path) -> 
         try:
             assert holder.stdout is not None
             assert holder.stdout.readline() == "held\n"
-            for refused in (lambda: open_writer(folder), lambda: refuse_other_writer(folder)):
+            for refused in (open_writer, partial(check_run_folder, resume=True, overwrite=False)):
                 with pytest.raises(RunError) as caught:
-                    refused()
+                    refused(folder)
                 said = str(caught.value)
                 assert f"{folder} is being written by process {holder.pid} on " in said
                 assert "\n" not in said
         finally:
             holder.send_signal(signal.SIGKILL)
     assert (folder / "run.lock").exists()
-    refuse_other_writer(folder)
+    check_run_folder(folder, True, False)
     with open_writer(folder) as writer:
         told = json.loads((folder / "run.lock").read_text())
         assert told["pid"] == os.getpid()

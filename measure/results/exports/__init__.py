@@ -9,7 +9,6 @@ from pathlib import Path
 
 from measure.errors import ConfigError, RunError
 from measure.results.exports import mcap, tables
-from measure.results.folder import own_files
 from measure.results.pose_table import Velocities, smooth_run
 from measure.results.run import Run
 
@@ -37,28 +36,19 @@ def export_run(
     runs: Sequence[Run],
     file_format: str,
     path: Path,
-    overwrite: bool = False,
     smooth_s: float | None = None,
     velocity: bool = False,
 ) -> Path:
     """Write a run, of each body or of one, in one of `FORMATS`; gives the file written.
 
     Poses are smoothed over `smooth_s` on either side; as measured if omitted. ConfigError: no such
-    format, it cannot hold what is asked, or its library is missing. RunError: the file is there
-    already or one of the run's own, cannot be written, or the run holds no pose.
+    format, it cannot hold what is asked, or its library is missing. RunError: it cannot be written,
+    or the run holds no pose.
     """
     if file_format not in FORMATS:
         near = difflib.get_close_matches(file_format, FORMATS, n=1)
         hint = f"did you mean {near[0]}?" if near else f"there is {', '.join(FORMATS)}"
         raise ConfigError(f"no export format is called '{file_format}'; {hint}")
-    if path.is_symlink():
-        raise RunError(f"{path} is a link to {path.readlink()}: give the file itself with --out")
-    if path.exists() and any(
-        own.exists() and path.samefile(own) for own in own_files(runs[0].path)
-    ):
-        raise RunError(f"{path} is a file of the run itself: give another with --out")
-    if path.exists() and not overwrite:
-        raise RunError(f"{path} is there already; --overwrite replaces it")
     if not any(run.has_pose.any() for run in runs):
         raise RunError(f"{runs[0].path} holds no pose: there is nothing to export")
     chosen = FORMATS[file_format]
