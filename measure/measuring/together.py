@@ -33,11 +33,21 @@ def measure_together(
     for one in pipelines:
         one.others = tuple(other for other in pipelines if other is not one)
     bodies = [one.body for one in pipelines]
-    copies = tee(frame_sets, len(pipelines))
-    measured = [one.measure(copy) for one, copy in zip(pipelines, copies, strict=True)]
+    *copies, last = tee(frame_sets, len(pipelines))
+    measured = [
+        one.measure(copy) for one, copy in zip(pipelines, [*copies, _releasing(last)], strict=True)
+    ]
     explained = set[str]()
     for row in zip(*measured, strict=True):
         yield _reconciled(row, bodies, explained) if len(row) > 1 else row
+
+
+def _releasing(frame_sets: Iterable[FrameSet]) -> Iterator[FrameSet]:
+    """The same; pixels go once they are measured, so that their memory, still cached, is reused."""
+    for frame_set in frame_sets:
+        yield frame_set
+        for image in frame_set.images.values():
+            image.release()
 
 
 def _reconciled(

@@ -19,7 +19,8 @@ class Image:
     camera: str  # the camera's name
     frame: int  # its number in that camera's recording
     time_s: float  # the middle of its exposure, on the session's clock
-    # returns the pixels, BGR (h, w, 3) uint8; called at most once, maybe in another thread.
+    # returns the pixels, BGR (h, w, 3) uint8; called once, maybe in another thread, and
+    # again only if they are used after `release`.
     decode: Callable[[], Bytes]
     # the original JPEG bytes where there are any (for the viewer), else None.
     encoded: bytes | None = None
@@ -37,11 +38,16 @@ class Image:
         """BGR pixels (h, w, 3), decoded on first use."""
         # Not a `cached_property`: before Python 3.12 all instances share its lock, so that only
         # one thread of all would decode.
-        if not self.is_decoded:
+        with self._turn:
+            if not self._decoded:
+                self._decoded.append(self.decode())
+            return self._decoded[0]
+
+    def release(self) -> None:
+        """Let go of the pixels, where they can be decoded again."""
+        if self.encoded is not None:
             with self._turn:
-                if not self.is_decoded:
-                    self._decoded.append(self.decode())
-        return self._decoded[0]
+                self._decoded.clear()
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,3 +61,19 @@ def test_a_picture_that_cannot_be_decoded_says_so_every_time():
     for _ in range(2):
         with pytest.raises(ValueError, match="torn"):
             _ = image.pixels
+
+
+@pytest.mark.parametrize(("encoded", "times"), [(b"a JPEG", 2), (None, 1)])
+def test_released_pixels_are_decoded_again_where_they_can_be(encoded, times):
+    calls = []
+
+    def decode():
+        calls.append(1)
+        return BLACK
+
+    image = Image("left", 0, 0.0, decode, encoded)
+    for _ in range(2):
+        assert image.pixels is BLACK
+        image.release()
+    assert len(calls) == times
+    assert image.is_decoded == (encoded is None)
