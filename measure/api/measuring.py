@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -44,8 +45,12 @@ def measure_frame_sets(
             waiting.append(frame_set)
             yield frame_set
 
-    for measured in measure_together(pipelines, remember()):
-        yield waiting.popleft(), measured
+    gc.freeze()  # what is loaded by now stays: looking through it again and again takes a tenth
+    try:
+        for measured in measure_together(pipelines, remember()):
+            yield waiting.popleft(), measured
+    finally:
+        gc.unfreeze()
 
 
 def calibrated_pipeline(
