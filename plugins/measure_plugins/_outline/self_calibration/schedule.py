@@ -167,10 +167,11 @@ def _cut(pixels: Bytes, points: Floats) -> tuple[Bytes, Floats]:
 
 
 class BackgroundEstimation:
-    """Runs one estimation at a time in a thread."""
+    """Runs a camera's estimations in a thread; all cameras share it, or no core would measure."""
+
+    _pool = ThreadPoolExecutor(1, thread_name_prefix="estimation")
 
     def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="estimation")
         self._running: Future[Appearance] | None = None
 
     def start(self, estimation: Callable[[], Appearance]) -> None:
