@@ -208,7 +208,6 @@ class Session:
 
     def frame_sets(
         self,
-        pairing: str = "nearest",
         tolerance_s: float | None = None,
         prefetch: int = DEFAULT_PREFETCH,
         start: int = 0,
@@ -219,8 +218,6 @@ class Session:
         In bounded memory. SessionError: no two cameras have images close enough in time, or an
         image cannot be read (when its set is due).
         """
-        if pairing != "nearest":
-            raise SessionError(f"no pairing is called '{pairing}'; there is nearest")
         if tolerance_s is not None and not (np.isfinite(tolerance_s) and tolerance_s >= 0):
             raise SessionError(f"the pairing tolerance must not be negative, got {tolerance_s} s")
         paired = self.pair(tolerance_s, reference)
@@ -238,20 +235,14 @@ def stream_frame_sets(
     """Yield frame sets in order; at most `prefetch` + 1 sets are held here at any time.
 
     Each camera has a thread that reads its frames one after the other, as suits a video best. A
-    picture that cannot be read raises when its own frame set is due, not earlier. With a `prefetch`
-    of 0 nothing is decoded ahead, and pixels stay lazy.
+    picture that cannot be read raises when its own frame set is due, not earlier.
     """
-    if prefetch <= 0:
-        for index in range(start, len(pairing.times_s)):
-            images = {s.name: s.read(p) for s, p in _members(streams, pairing, index)}
-            yield FrameSet(index, float(pairing.times_s[index]), images)
-        return
     pools = {stream.name: ThreadPoolExecutor(1, "decode") for stream in streams}
     ahead: deque[tuple[int, dict[str, Future[Image]]]] = deque()
     due = iter(range(start, len(pairing.times_s)))
     try:
         while True:
-            for index in islice(due, prefetch - len(ahead)):
+            for index in islice(due, max(prefetch, 1) - len(ahead)):
                 members = _members(streams, pairing, index)
                 ahead.append(
                     (index, {s.name: pools[s.name].submit(_read, s, p) for s, p in members})
