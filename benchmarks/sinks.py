@@ -279,7 +279,7 @@ def address(scheme: str) -> str:
     return f"{scheme}://{HOST}:{free_port(kind)}"
 
 
-def _receive(address: str, over: Any, ready: Any, out: Any) -> None:
+def receive(address: str, over: Any, ready: Any, out: Any) -> None:
     """A process that receives, and hands on what it got."""
     scheme = address.partition(":")[0]
     ready.set()
@@ -312,7 +312,7 @@ def rows(schemes: Sequence[str], poses: int, rate_hz: float, stall_s: float) -> 
         addresses = [address(scheme) for scheme in schemes]
         for one in addresses:
             ready, out = context.Event(), context.Queue()
-            context.Process(target=_receive, args=(one, over, ready, out), daemon=True).start()
+            context.Process(target=receive, args=(one, over, ready, out), daemon=True).start()
             results.append(out)
             ready.wait(60.0)
         if stall_s and "igtl" in schemes:
