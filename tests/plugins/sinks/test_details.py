@@ -7,7 +7,9 @@ import re
 import socket
 import struct
 import time
+from contextlib import suppress
 from importlib.resources import files
+from pathlib import Path
 
 import cv2
 import foxglove.messages
@@ -210,6 +212,22 @@ def test_foxglove_shows_transforms_and_small_pictures():
         ).encode()
     )
     assert b"stimulus" in heard["/marks"]
+
+
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="open files are not listed here")
+def test_foxglove_sends_every_message_at_once():
+    """Nagle's algorithm, which waits for 40 ms, is off at its end of a connection."""
+    where, waits = address("foxglove"), []
+    sink = build(where, run_of("tool"))
+    sink.open()
+    with connect(f"ws:{where.partition(':')[2]}", subprotocols=["foxglove.sdk.v1"]) as client:
+        client.recv(timeout=5.0)
+        for file in Path("/dev/fd").iterdir():
+            with suppress(OSError), socket.fromfd(int(file.name), socket.AF_INET, 1) as one:
+                if one.getpeername() == client.socket.getsockname():
+                    waits.append(not one.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+    sink.close()
+    assert waits == [False]
 
 
 def test_the_layout_for_foxglove_shows_what_is_sent():
