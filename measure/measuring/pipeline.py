@@ -289,13 +289,5 @@ def _frames(frame_set: FrameSet) -> dict[str, int]:
 
 
 def _skipped(frame_set: FrameSet) -> Measurement:
-    return Measurement(
-        index=frame_set.index,
-        time_s=frame_set.time_s,
-        frames=_frames(frame_set),
-        views=(),
-        positions=(),
-        pose=None,
-        status=Status.SKIPPED,
-        reason="restarting",
-    )
+    head = frame_set.index, frame_set.time_s, _frames(frame_set)
+    return Measurement(*head, (), (), None, Status.SKIPPED, "restarting")

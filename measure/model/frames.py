@@ -29,11 +29,6 @@ class Image:
     _decoded: list[Bytes] = field(default_factory=list, init=False, repr=False)
 
     @property
-    def is_decoded(self) -> bool:
-        """Whether the pixels are there already."""
-        return bool(self._decoded)
-
-    @property
     def pixels(self) -> Bytes:
         """BGR pixels (h, w, 3), decoded on first use."""
         # Not a `cached_property`: before Python 3.12 all instances share its lock, so that only

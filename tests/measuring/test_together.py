@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,23 +29,32 @@ class Looks:
 
 @pytest.mark.parametrize("behind", [(0,), (3,), (3, 3)])
 def test_pixels_are_decoded_once_and_let_go_of_when_all_bodies_are_measured(behind):
-    decoded, images = [], []
+    decoded, pixels = [], weakref.WeakSet()
+
+    class Pixels(np.ndarray):
+        """Of which it can be told whether they are still in memory."""
+
+        __hash__ = object.__hash__
 
     def frame_sets():
         for k in range(10):
 
             def decode(k=k):
                 decoded.append(k)
-                return np.full((1, 1, 3), k, np.uint8)
+                new = np.full((1, 1, 3), k, np.uint8).view(Pixels)
+                pixels.add(new)
+                return new
 
-            images.append(Image("cam0", k, float(k), decode, b"a JPEG"))
-            yield FrameSet(k, float(k), {"cam0": images[-1]})
+            image = Image("cam0", k, float(k), decode, b"a JPEG")
+            held.append(image)
+            yield FrameSet(k, float(k), {"cam0": image})
 
-    most = 0
+    held, most = [], 0
     for k, row in enumerate(measure_together([Looks(one) for one in behind], frame_sets())):
         assert [one.saw for one in row] == [k] * len(behind)
-        most = max(most, sum(image.is_decoded for image in images))
+        most = max(most, len(pixels))
     assert decoded == list(range(10))
     # The one in use; with several bodies those, too, that the last has yet to look at.
     assert most <= (1 if len(behind) == 1 else 1 + max(behind))
-    assert not any(image.is_decoded for image in images)
+    assert len(held) == 10
+    assert not pixels

@@ -76,4 +76,3 @@ def test_released_pixels_are_decoded_again_where_they_can_be(encoded, times):
         assert image.pixels is BLACK
         image.release()
     assert len(calls) == times
-    assert image.is_decoded == (encoded is None)

@@ -4,11 +4,13 @@ import gc
 import threading
 import time
 import weakref
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from measure.arrays import Bytes
 from measure.errors import SessionError
 from measure.model import Image
 from measure.session import open_session
@@ -26,12 +28,19 @@ class Watched(Stream):
         )
         self.inner, self.alive = inner, alive
         self.asked: list[int] = []
+        self.decoded: set[int] = set()
         self.most = 0
         self.lock = threading.Lock()
 
     def read(self, index: int) -> Image:
         time.sleep(0.001 * (index % 3))
-        image = self.inner.read(index)
+        inner = self.inner.read(index)
+
+        def decode() -> Bytes:
+            self.decoded.add(inner.frame)
+            return inner.pixels
+
+        image = replace(inner, decode=decode)
         with self.lock:
             self.asked.append(index)
             self.alive.add(image)
@@ -50,7 +59,9 @@ def test_memory_is_bounded_and_order_kept(tmp_path: Path) -> None:
             seen.append(frame_set.index)
             for image in frame_set.images.values():
                 assert image.frame == frame_set.index
-                assert image.is_decoded, "not decoded ahead"
+                watched = session.streams[image.camera]
+                assert isinstance(watched, Watched)
+                assert image.frame in watched.decoded, "not decoded ahead"
         del frame_set, image
         assert seen == list(range(60))
         # Four sets ahead, the one in use, and the one just asked for.
