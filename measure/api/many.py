@@ -79,15 +79,9 @@ def run_many(
             "measure them separately, or rename a folder"
         )
     with _scratch(out) as scratch:
+        given = profile, registry, options or RunOptions()
         jobs = [
-            _Job(
-                Path(session).resolve(),
-                out.resolve() / name,
-                profile,
-                registry,
-                options or RunOptions(),
-                scratch / name,
-            )
+            _Job(Path(session).resolve(), out.resolve() / name, *given, scratch / name)
             for session, name in zip(sessions, names, strict=True)
         ]
         finished = _on_cluster(jobs, cluster) if cluster else _on_this_machine(jobs, workers)

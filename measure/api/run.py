@@ -85,18 +85,8 @@ def run(
         total = len(session.pair().times_s)
         options.check_viewer()
         made_from = _of_session(session, profile, registry)
-        resume, overwrite = options.resume, options.overwrite
-        writer = stack.enter_context(
-            RunWriter(
-                out,
-                made_from,
-                session.bodies,
-                session.cameras,
-                resume,
-                overwrite,
-                session.reference,
-            )
-        )
+        given = out, made_from, session.bodies, session.cameras, options.resume, options.overwrite
+        writer = stack.enter_context(RunWriter(*given, session.reference))
         if writer.is_complete(total):
             return writer.finish()
         if writer.kept and on_note is not None:
