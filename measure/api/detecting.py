@@ -39,12 +39,16 @@ _REACH_RADII = 0.5  # How far from where it is expected a ball may be, in its ra
 
 @dataclass(frozen=True)
 class Lens:
-    """What is known of the camera that took the pictures."""
+    """What is known of the camera that took the pictures.
 
-    calibration: Path | None = None  # a calibration file; None if there is none
-    camera: str | None = None  # the camera's name in it; may be left out if it holds one only
-    # the focal length where there is no calibration; None for 0.72 times the picture's longer side,
-    # as of ordinary webcams.
+    Attributes:
+        calibration: of the camera, if there is one.
+        camera: the camera's name in it; may be left out if it holds one only.
+        focal_px: the focal length without a calibration; 0.72 times the longer side if omitted.
+    """
+
+    calibration: Path | None = None
+    camera: str | None = None
     focal_px: float | None = None
 
 

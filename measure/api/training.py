@@ -19,29 +19,47 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """What is trained, and on what."""
+    """What is trained, and by which labels it is judged.
+
+    Attributes:
+        estimator: a plugin: stream (default), mlp (the paper's), ridge, gp, forest, offset.
+        seed: of everything random in training.
+        resume: go on with an interrupted training.
+        overwrite: Replace what is there.
+        validation: a data set of its own to choose and stop by, instead of a split; it scores, too,
+            where there is no other for the test.
+        test: a data set of its own to score by.
+        test_share: share of the labels kept for the test, in whole trajectories.
+        validation_share: likewise for choosing and stopping.
+        split_seed: which trajectories those are.
+        folds: groups of recordings left out in turn, in fits of their own, to judge the covariance;
+            0 leaves none out.
+        split_rows: split by random rows, which is wrong: to see how wrong.
+    """
 
     estimator: str = "stream"
-    settings: Mapping[str, Any] | None = None
-    # data sets of their own: one chooses and stops, one scores; what is absent is split off, but
-    # `validation` scores, too, if it stands alone.
+    seed: int = 0
+    resume: bool = False
+    overwrite: bool = False
     validation: Path | None = None
     test: Path | None = None
-    test_share: float = 0.1  # of the rows, in whole trajectories
+    test_share: float = 0.1
     validation_share: float = 0.1
     split_seed: int = 0
-    folds: int = 4  # groups of recordings left out in turn to judge the covariance
-    seed: int = 0
-    resume: bool = False  # go on with an interrupted training of the same file
-    overwrite: bool = False  # replace a model that is there, its card and its report
-    split_rows: bool = False  # split by random rows: wrong, and only there to show how wrong
-    notes: Mapping[str, str] | None = None
+    folds: int = 4
+    split_rows: bool = False
 
 
 def train(
-    data: Sequence[Path], out: Path, options: TrainOptions, registry: Registry, report: Report
+    data: Sequence[Path],
+    out: Path,
+    options: TrainOptions,
+    registry: Registry,
+    report: Report,
+    settings: Mapping[str, Any] | None = None,
+    notes: Mapping[str, str] | None = None,
 ) -> Trained:
-    """Fit an estimator and write `out` (ONNX), its card and its report."""
+    """Fit an estimator and write `out` (ONNX), its card with `notes`, and its report."""
     from measure import learning
     from measure.viewing.report.estimator_report import estimator_report
 
@@ -53,7 +71,7 @@ def train(
         if options.folds < 0 or options.folds == 1:
             raise ConfigError(f"--folds {options.folds}: expected 2 groups or more, or 0 for none")
         trained = learning.train(
-            registry.estimator(options.estimator, dict(options.settings or {})),
+            registry.estimator(options.estimator, dict(settings or {})),
             _split(data, options),
             file,
             seed=options.seed,
@@ -61,7 +79,7 @@ def train(
             checkpoint=out.with_suffix(".checkpoint"),
             resume=options.resume,
             folds=options.folds,
-            notes=options.notes,
+            notes=notes,
         )
         card, _, page = map(file.with_suffix, beside)
         made = estimator_report(trained, json.loads(card.read_text()))
@@ -109,19 +127,34 @@ def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """What a sweep searches."""
+    """What a sweep searches.
 
-    estimator: str
-    settings: Mapping[str, Any]
-    trials: int
+    Attributes:
+        estimator: the plugin.
+        trials: finished trials wanted in all.
+        split_seed: which trajectories validate.
+        scheduler: address of a dask scheduler whose workers shall run the trials.
+    """
+
+    estimator: str = "mlp"
+    trials: int = 100
     split_seed: int = 0
-    scheduler: str | None = None  # address of a dask scheduler whose workers run the trials
+    scheduler: str | None = None
 
 
 def sweep(
-    data: Path, space: Path, journal: Path, options: SweepOptions, report: Report
+    data: Path,
+    space: Path,
+    journal: Path,
+    options: SweepOptions,
+    report: Report,
+    settings: Mapping[str, Any] | None = None,
 ) -> SweepState:
-    """Run trials until the sweep has enough, together with other processes of the same journal."""
+    """Run trials until the sweep has enough, together with other processes of the same journal.
+
+    All trials share the `settings`.
+    """
+    settings = settings or {}
     from measure.learning import files, sweeping
     from measure.learning.sweeping import read_space
 
@@ -130,11 +163,11 @@ def sweep(
     check_seeds(split_seed=options.split_seed)
     check_file(journal, overwrite=True)  # what is there goes on
     ranges = read_space(space)
-    if both := sorted(ranges.keys() & options.settings.keys()):
+    if both := sorted(ranges.keys() & settings.keys()):
         raise ConfigError(f"--set {both[0]}: {space} has a range for it: give it in one place only")
     digest = files.read_dataset(data).digest()
     job = sweeping.SweepJob(
-        str(data.resolve()), options.estimator, dict(options.settings), options.split_seed, digest
+        str(data.resolve()), options.estimator, dict(settings), options.split_seed, digest
     )
     return sweeping.sweep(
         job, ranges, journal, options.trials, scheduler=options.scheduler, report=report

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, shares
 from measure.cli.options import InjectedRegistry
+from measure.errors import ConfigError
 
 
 def ablate(
@@ -30,9 +32,6 @@ def ablate(
         remove: also fit without each.
         split_seed: split the data anew instead of as in training, if they are others.
     """
-    from measure import api
-    from measure.errors import ConfigError
-
     *data, model = files
     if not data:
         raise ConfigError(f"ablate {model}: expected data sets, and last the model")

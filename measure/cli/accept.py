@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 
@@ -30,8 +31,6 @@ def accept(
         out: report to write, one HTML file.
         body: which body, of a run of several.
     """
-    from measure import api
-
     found = api.accept(run, lengths, out, body, overwrite)
     judged = found.judged
     rows = [

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
+from measure.session import write_body
 
 
 def body(
@@ -38,9 +40,6 @@ def body(
         calibration: a calibration file to use instead of the session's own.
         profile: how to measure the session, by name or TOML file.
     """
-    from measure import api
-    from measure.session import write_body
-
     with api.output(out, overwrite) as file, console.progress("looking") as progress:
         found = api.find_body(
             session, registry, radius_mm, like, origin, profile, calibration, progress

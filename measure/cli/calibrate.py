@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from measure import api
+from measure.calibration import camera_rows
 from measure.cli import console
 from measure.cli.console import CalibrationFormat, JsonFlag, OutFile, Overwrite
 
@@ -34,9 +36,6 @@ def calibrate(
         file_format: of the output; only "triball" holds covariances and the judgement.
         report: HTML report to write; beside the output, ending in .html, if omitted.
     """
-    from measure import api
-    from measure.calibration import camera_rows
-
     with console.progress("calibrating", "cameras") as progress:
         result, page = api.calibrate_to(
             out, capture, method, body, progress,

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from measure import api
+from measure.capture import FoundCamera, Mode
 from measure.cli import console
 from measure.cli.console import JsonFlag
-
-if TYPE_CHECKING:
-    from measure.capture import FoundCamera, Mode
 
 
 def cameras(*addresses: str, json: JsonFlag = False) -> None:
@@ -20,8 +17,6 @@ def cameras(*addresses: str, json: JsonFlag = False) -> None:
         addresses: cameras to ask instead, as `measure record` takes them: what of size, rate and
             times each delivers in two seconds, or why it does not.
     """
-    from measure import api
-
     found = api.cameras(addresses)
     if json:
         console.print_json({"cameras": found})

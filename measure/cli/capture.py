@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from measure import api
+from measure.calibration import WaveState
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import CaptureOptions
-
-if TYPE_CHECKING:
-    from measure.calibration import WaveState
 
 _LINE_EVERY_S = 2.0
 
@@ -39,8 +37,6 @@ def capture(
         body: body that will be measured; the paper's three-ball body if omitted.
         goal_mm: expected error of the body's position that is good enough.
     """
-    from measure import api
-
     given, last = api.parse_cameras(cameras), [time.monotonic()]
 
     def tell(state: WaveState) -> None:

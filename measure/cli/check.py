@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from measure import api
+from measure.api.check import SessionCheck
+from measure.checking.clocks import CameraClock
 from measure.cli import console
 from measure.cli.console import JsonFlag
 from measure.cli.options import InjectedRegistry
-
-if TYPE_CHECKING:
-    from measure.api.check import SessionCheck
-    from measure.checking.clocks import CameraClock
+from measure.results.summary import WHICH_ACCURACY
 
 
 def check(
@@ -44,8 +43,6 @@ def check(
         samples: frame sets, spread over the recording, in which everything is searched.
         clock_samples: frame sets measured to compare the clocks; 0 leaves the clocks out.
     """
-    from measure import api
-
     how, replaced = api.load_profile(profile), (calibration, body)
     with console.progress("looking") as report:
         found = api.check(session, registry, how, *replaced, samples, clock_samples, report)
@@ -76,8 +73,6 @@ def _print(found: SessionCheck) -> None:
     if found.clocks:
         _print_clocks(found.clocks)
     if found.accuracy is not None and np.any(np.isfinite(found.accuracy[:, 3])):
-        from measure.results.summary import WHICH_ACCURACY
-
         position, turn = found.accuracy[:, 3], found.accuracy[:, 4]
         console.print_text(
             "to be expected within 40 mm of where the body was: "

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag
 
@@ -26,8 +27,6 @@ def compare(
         second: another's.
         body: which body, of runs of several.
     """
-    from measure import api
-
     found = api.compare(first, second, body)
     if json:
         figures = [{**vars(figure), "sds": figure.sds} for figure in found.figures]

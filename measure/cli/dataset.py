@@ -4,40 +4,18 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite, shares
-from measure.cli.options import RobotOptions
-
-if TYPE_CHECKING:
-    from measure.host import Dataset
-    from measure.learning import TrajectoryFacts
-    from measure.learning.labels import LabelFacts
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _AssemblyOptions:
-    """How poses and states are paired; fields of `measure.learning.AssemblySettings`.
-
-    Attributes:
-        clock_offset_s: robot time minus camera time, if known.
-        largest_offset_s: search the offset within plus and minus this.
-        history_hz: add unlabelled states between the labels at this rate.
-        cut_s: cut recordings into trajectories of this length.
-        largest_sd_mm: do not learn from labels less certain than this.
-        as_it_is: keep labels that a frame, a tool or a clock explains, with a warning.
-    """
-
-    clock_offset_s: float | None = None
-    largest_offset_s: float = 5.0
-    history_hz: float = 0.0
-    cut_s: float = 0.0
-    largest_sd_mm: float = 3.0
-    as_it_is: Annotated[bool, Parameter(negative="")] = False
+from measure.cli.options import FIELDS, RobotOptions
+from measure.errors import ConfigError
+from measure.host import Dataset
+from measure.learning import AssemblySettings, TrajectoryFacts
+from measure.learning.labels import LabelFacts
 
 
 @Parameter(name="*")
@@ -71,7 +49,7 @@ def dataset(
     frame: Path | None = None,
     restart_name: tuple[str, ...] = (),
     source: RobotOptions = RobotOptions(),
-    assembly: _AssemblyOptions = _AssemblyOptions(),
+    assembly: Annotated[AssemblySettings, FIELDS] = AssemblySettings(),
     simulation: _SimulationOptions = _SimulationOptions(),
     json: JsonFlag = False,
 ) -> None:
@@ -88,10 +66,6 @@ def dataset(
         restart_name: of the robot's restart or the day, one for all runs or one each; training
             keeps runs of one name together.
     """
-    from measure import api
-    from measure.errors import ConfigError
-    from measure.learning.labels import LabelFacts
-
     if bool(runs) == (simulation.simulate_min is not None):
         raise ConfigError("give runs, or --simulate-min MINUTES, but not both")
     logs, robot, topic = source.robot_log, source.robot, source.topic
@@ -100,11 +74,8 @@ def dataset(
         if not runs:
             data, facts = _simulated(file, simulation)
         else:
-            from measure.learning import AssemblySettings
-
-            settings = AssemblySettings(**asdict(assembly))
             data, facts = api.make_dataset(
-                runs, logs, robot, file, settings, topic=topic, frame=frame, restarts=restart_name
+                runs, logs, robot, file, assembly, topic=topic, frame=frame, restarts=restart_name
             )
     labels = LabelFacts.of(data)
     if json:
@@ -116,8 +87,6 @@ def dataset(
 
 
 def _simulated(out: Path, simulation: _SimulationOptions) -> tuple[Dataset, list[TrajectoryFacts]]:
-    from measure import api
-
     options = asdict(simulation)
     minutes = options.pop("simulate_min")
     with console.progress("simulating", unit="per mille") as report:

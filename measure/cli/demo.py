@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
-
-if TYPE_CHECKING:
-    from measure.learning import EstimatorEvaluation
+from measure.learning import EstimatorEvaluation
 
 
 def demo(
@@ -34,8 +32,6 @@ def demo(
         profile: how to measure: `precise`, `paper`, or the path of a profile of your own (.toml).
         frames: frame sets to render.
     """
-    from measure import api
-
     chosen = api.load_profile(profile)
     with console.progress("rendering and measuring", "steps") as report:
         made = api.demo(out, chosen, registry, frames, report, overwrite)

@@ -5,33 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 from cyclopts import Parameter
 
+from measure import api
+from measure.api import SeenPicture
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import InjectedRegistry, SettingTexts
+from measure.cli.options import FIELDS, InjectedRegistry, SettingTexts
 from measure.errors import ConfigError
-
-if TYPE_CHECKING:
-    from measure.api import SeenPicture
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _LensOptions:
-    """The camera that took the pictures; fields of `measure.api.Lens`.
-
-    Attributes:
-        calibration: of the camera, if there is one.
-        camera: the camera's name in it.
-        focal_px: the focal length without a calibration; 0.72 times the longer side if omitted.
-    """
-
-    calibration: Path | None = None
-    camera: str | None = None
-    focal_px: float | None = None
 
 
 @Parameter(name="*")
@@ -71,7 +54,7 @@ class _WriteOptions:
 def detect(
     *pictures: Path,
     body: Path,
-    lens: _LensOptions = _LensOptions(),
+    lens: Annotated[api.Lens, FIELDS] = api.Lens(),
     expect: tuple[str, ...] = (),
     method: _DetectorOptions = _DetectorOptions(),
     to: _WriteOptions = _WriteOptions(),
@@ -88,8 +71,6 @@ def detect(
         body: the body's file: the balls' colours and radii.
         expect: BALL=U,V,R: look for the ball round (U, V) px with radius R px; may be repeated.
     """
-    from measure import api
-
     if not pictures:
         raise ConfigError("no picture is given: measure detect PICTURE... --body BODY.toml")
     new, asked = to.write_body, [api.parse_expectation(text) for text in expect]
@@ -100,10 +81,9 @@ def detect(
         )
     drawn = api.drawings(pictures, to.out, to.overwrite)
     with api.output(new, to.overwrite) as file, console.progress("looking", "pictures") as report:
-        known, camera = api.read_body(body), api.Lens(**vars(lens))
-        given = api.load_profile(method.profile)
+        known, given = api.read_body(body), api.load_profile(method.profile)
         chosen = api.choose(given, {"detector": method.detector}, method.set_)
-        seen = api.detect(pictures, registry, chosen, known, camera, asked, report)
+        seen = api.detect(pictures, registry, chosen, known, lens, asked, report)
         api.draw(seen, drawn)
         if new is not None:
             outlined = [ball for ball, _ in asked if ball not in clicks]

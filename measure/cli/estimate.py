@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
-
-if TYPE_CHECKING:
-    from measure.learning import Zeroing
+from measure.errors import ConfigError
+from measure.learning import Zeroing
 
 _CROWDED = "too many senders"  # The counter of senders that were refused for want of room
 
@@ -51,9 +51,6 @@ def estimate(
         seconds: stop after this long.
         realtime: before other processes, with memory that is not swapped (Linux, needs rights).
     """
-    from measure import api
-    from measure.errors import ConfigError
-
     if input_ is None and out is not None:
         raise ConfigError("--out needs --input: live estimates go back by UDP")
     if input_ is not None and out is None:
@@ -75,8 +72,6 @@ def estimate(
 
 def _zeroing(model: Path, stretch: Path) -> Zeroing:
     """Offsets after a restart, printed with the drift of the residuals."""
-    from measure import api
-
     zeroing, monitor = api.rezero(model, stretch)
     x, y, z = zeroing.mean_mm
     console.note(
@@ -95,8 +90,6 @@ def _serve(
     json: bool,
     realtime: bool,
 ) -> None:
-    from measure import api
-
     told = False
 
     def line(server: Any) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag
+from measure.results.summary import WHICH_ACCURACY
 
 
 def evaluate(
@@ -40,8 +42,6 @@ def evaluate(
         truth_body: which rigid body of a tracker's file, or of a table with a column `body`.
         body: which body, of a run of several; each if omitted.
     """
-    from measure import api
-
     names = api.body_names(run)
     every = {
         name: api.evaluate(
@@ -60,8 +60,6 @@ def evaluate(
         one = next(iter(values.values())) if len(values) == 1 else {"bodies": values}
         console.print_json({"run": str(run), **one})
         return
-    from measure.results.summary import WHICH_ACCURACY
-
     for name, found in every.items():
         about = f"{name}: " if len(names) > 1 else ""
         for table in api.evaluation_tables(found):

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 
@@ -35,8 +36,6 @@ def export(
             as measured if omitted. Of csv, tum and mcap.
         velocity: write velocities as well, with their covariance. Of csv and mcap.
     """
-    from measure import api
-
     path = api.export(run, format_, out, overwrite, body, smooth_s=smooth, velocity=velocity)
     if json:
         console.print_json({"run": str(run), "format": format_, "file": str(path)})

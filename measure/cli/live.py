@@ -6,10 +6,11 @@ import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
+from measure import api
+from measure.api import LiveEnd, LiveState
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import (
@@ -22,10 +23,7 @@ from measure.cli.options import (
 from measure.cli.record import note_outage, print_cameras
 from measure.cli.run import print_summary
 from measure.errors import ConfigError
-
-if TYPE_CHECKING:
-    from measure.api import LiveEnd, LiveState
-    from measure.measuring import Measurement
+from measure.measuring import Measurement
 
 _LINE_EVERY_S = 2.0
 
@@ -70,8 +68,6 @@ def live(
         cameras: NAME=ADDRESS each, two at least, as for `measure record`.
         calibration: the cameras' calibration.
     """
-    from measure import api
-
     schemes = {address.partition(":")[0] for address in to.send}
     ours = tuple(text for text in method.set_ if text.partition(".")[0] in schemes)
     others = tuple(text for text in method.set_ if text not in ours)

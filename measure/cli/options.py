@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated, TypeAlias
 
 from cyclopts import Parameter
 
+from measure import api
 from measure.host import Registry
-
-if TYPE_CHECKING:
-    from measure import api
-    from measure.measuring import Profile
+from measure.measuring import Profile
 
 InjectedRegistry: TypeAlias = Annotated[Registry, Parameter(parse=False)]
 """Type of a command's keyword `registry`: all plugins but those left out with `--disable`."""
 SettingTexts: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set")]
 """Type of a command's option `--set`, NAME=VALUE each."""
+FIELDS = Parameter(name="*")
+"""Of a record in a command's signature: its fields are options, explained by its docstring."""
 
 
 @Parameter(name="*")
@@ -41,8 +41,6 @@ class ProfileOptions:
 
     def chosen(self) -> Profile:
         """The profile with the changes."""
-        from measure import api
-
         return api.choose(
             api.load_profile(self.profile),
             {"detector": self.detector, "triangulator": self.triangulator, "solver": self.solver},
@@ -110,8 +108,6 @@ class CaptureOptions:
 
     def request(self) -> api.CaptureRequest:
         """What is requested of the cameras."""
-        from measure import api
-
         size = None if self.size is None else api.parse_size(self.size)
         return api.CaptureRequest(size, self.rate, api.parse_controls(self.control), self.lock)
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from measure import api
+from measure.api import TipResult
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
-
-if TYPE_CHECKING:
-    from measure.api import TipResult
+from measure.session import write_body
 
 
 def pivot(
@@ -34,9 +34,6 @@ def pivot(
             axis, from the tip towards the balls.
         body: which body, of a run of several.
     """
-    from measure import api
-    from measure.session import write_body
-
     with api.output(out, overwrite) as file:
         found = api.pivot(run, spin, body)
         write_body(file, found.body)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag
 from measure.cli.options import InjectedRegistry, SettingTexts
@@ -37,8 +38,6 @@ def play(
         spawn: open the viewer and show the run.
         connect: show it in a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
     """
-    from measure import api
-
     viewer = connect
     if spawn:
         from measure.viewing.viewer import open_viewer

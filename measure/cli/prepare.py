@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from measure import api
 from measure.cli import console
 from measure.cli.options import InjectedRegistry
 
@@ -15,8 +16,6 @@ def prepare(*, registry: InjectedRegistry) -> None:
     It runs the demonstration with each profile. Whoever may write the installation does it once;
     all users of it, on processors of this kind, start without waiting.
     """
-    from measure import api
-
     for name in ("precise", "paper"):
         with TemporaryDirectory() as folder, console.progress(name, "steps") as report:
             api.demo(Path(folder), api.load_profile(name), registry, 10, report)

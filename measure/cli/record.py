@@ -6,15 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from measure import api
+from measure.capture import CameraCount, Outage
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import BodyOptions, CaptureOptions
-
-if TYPE_CHECKING:
-    from measure.capture import CameraCount, Outage
-    from measure.model import Image
+from measure.model import Image
 
 _UNEVEN_S = 2e-3  # Spread of the times of arrival, in s, from which a warning is printed
 _LISTED = 10  # Outages of a camera that are listed at the end; of more, the latest
@@ -43,8 +41,6 @@ def record(
             they may come later.
         spawn: open the viewer, and see there what the cameras show.
     """
-    from measure import api
-
     names = () if calibration is None else api.camera_names(calibration)
     given, request = api.parse_cameras(cameras, names), capture.request()
     for line in api.usb_notes(given, calibration, request):

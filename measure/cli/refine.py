@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from cyclopts import Parameter
 
+from measure.api import RefineResult
+from measure.api import refine as run
+from measure.api.outputs import check_apart, output
+from measure.calibration import RefineSettings
+from measure.checking.clocks import CameraClock
 from measure.cli import console
 from measure.cli.console import CalibrationFormat, JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
 from measure.errors import ConfigError
-
-if TYPE_CHECKING:
-    from measure.api import RefineResult
-    from measure.checking.clocks import CameraClock
+from measure.session import write_body, write_calibration
 
 
 @Parameter(name="*")
@@ -57,11 +58,6 @@ def refine(
         body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact;
             what the body file states, or 0.05, if omitted.
     """
-    from measure.api import refine as run
-    from measure.api.outputs import check_apart, output
-    from measure.calibration import RefineSettings
-    from measure.session import write_body, write_calibration
-
     given, outs = body_tolerance_mm, [to.out, *([to.body_output] if to.body_output else [])]
     check_apart(*outs)
     with output(to.out, to.overwrite) as file, output(to.body_output, to.overwrite) as body:

@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
-from cyclopts import Parameter
 
+from measure import api
+from measure.arrays import Floats
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import RobotOptions
-
-if TYPE_CHECKING:
-    from measure.arrays import Floats
-    from measure.geometry import RigidTransform
-    from measure.learning.frames import RobotFrame
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _RegisterOptions:
-    """What is fitted; fields of `measure.learning.registration.RegisterOptions`.
-
-    Attributes:
-        kinematics: also fit the errors of the robot's links, each near its usual size.
-        clock_offset_s: robot time minus camera time, if known; else estimated from the motion.
-        largest_offset_s: search the offset within plus and minus this.
-    """
-
-    kinematics: Annotated[bool, Parameter(negative="")] = False
-    clock_offset_s: float | None = None
-    largest_offset_s: float = 5.0
+from measure.cli.options import FIELDS, RobotOptions
+from measure.geometry import RigidTransform
+from measure.learning.frames import RobotFrame, write_frame
+from measure.learning.registration import RegisterOptions
 
 
 def register(
@@ -42,7 +24,7 @@ def register(
     out: OutFile,
     overwrite: Overwrite = False,
     source: RobotOptions = RobotOptions(),
-    options: _RegisterOptions = _RegisterOptions(),
+    options: Annotated[RegisterOptions, FIELDS] = RegisterOptions(),
     json: JsonFlag = False,
 ) -> None:
     """Find where a robot stands in the cameras' world, and the body on its tool.
@@ -55,13 +37,9 @@ def register(
         runs: run folders, or tables of poses; the cameras and the body stayed where they were.
         out: the frame to write, for `measure dataset --frame`.
     """
-    from measure import api
-    from measure.learning.frames import write_frame
-    from measure.learning.registration import RegisterOptions
-
     with api.output(out, overwrite) as file:
         logs, robot, topic = source.robot_log, source.robot, source.topic
-        found = api.register(runs, logs, robot, RegisterOptions(**asdict(options)), topic=topic)
+        found = api.register(runs, logs, robot, options, topic=topic)
         write_frame(file, found)
     if json:
         console.print_json({"output": out, **found.values()})

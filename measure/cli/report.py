@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import OutFile, Overwrite
 
@@ -27,6 +28,4 @@ def report(
         truth: a trajectory to compare with; the session's own if omitted.
         body: which body, of a run of several; all if omitted.
     """
-    from measure import api
-
     console.print_text(str(api.report(run, out, truth, body, overwrite)))

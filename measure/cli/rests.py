@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag
-
-if TYPE_CHECKING:
-    from measure.metrology.rests import Rest, Rests
+from measure.metrology.rests import Rest, Rests
 
 
 def rests(
@@ -37,8 +36,6 @@ def rests(
         from_: print the displacements from this rest; --json has those between any two.
         body: which body, of a run of several.
     """
-    from measure import api
-
     found = api.rests(run, shortest_s, body)
     if json:
         console.print_json({"run": str(run), **_values(found)})

@@ -6,18 +6,17 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
+from measure import api
+from measure.api.many import Outcome
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import BodyOptions, InjectedRegistry, ProfileOptions, ViewerOptions
 from measure.errors import ConfigError
-
-if TYPE_CHECKING:
-    from measure.api.many import Outcome
-    from measure.results import Summary
+from measure.results import Summary
+from measure.results.summary import WHICH_ACCURACY
 
 
 @Parameter(name="*")
@@ -58,8 +57,6 @@ def run(
         out: the run's folder, made if it is not there; for several sessions, the folder of theirs.
         calibration: a calibration to use instead of the session's.
     """
-    from measure import api
-
     chosen = method.chosen()
     options = api.RunOptions(
         image_every=api.parse_images(viewer.images),
@@ -94,8 +91,6 @@ def run(
 
 def print_summary(summary: Summary) -> None:
     """Print a run's summary, the reasons for missing poses, and the notes."""
-    from measure.results.summary import WHICH_ACCURACY
-
     console.print_text(summary.sentence())
     if summary.ok:
         console.print_text(f"  {WHICH_ACCURACY['stated']}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import OutFile, Overwrite
 
@@ -26,8 +27,6 @@ def simulate(
         clock_offset_s: how far the robot's clock is ahead of the cameras'.
         wear: slack and friction relative to new cables.
     """
-    from measure import api
-
     with (
         api.new_folder(out, overwrite, "session.toml"),
         console.progress("rendering", unit="pictures") as report,

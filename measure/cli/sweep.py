@@ -2,28 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from cyclopts import Parameter
-
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, shares
-from measure.cli.options import SettingTexts
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _EstimatorOptions:
-    """What is searched.
-
-    Attributes:
-        estimator: the plugin.
-        set_: a setting as NAME=VALUE that all trials share; may be repeated.
-    """
-
-    estimator: str = "mlp"
-    set_: SettingTexts = ()
+from measure.cli.options import FIELDS, SettingTexts
 
 
 def sweep(
@@ -32,10 +17,8 @@ def sweep(
     /,
     *,
     journal: Path,
-    of: _EstimatorOptions = _EstimatorOptions(),
-    trials: int = 100,
-    split_seed: int = 0,
-    scheduler: str | None = None,
+    set_: SettingTexts = (),
+    options: Annotated[api.SweepOptions, FIELDS] = api.SweepOptions(),
     json: JsonFlag = False,
 ) -> None:
     """Search an estimator's settings, on many machines if there are.
@@ -47,17 +30,11 @@ def sweep(
         data: a data set.
         space: a TOML file with a table per setting: choices, or low and high (log, integer).
         journal: the sweep's file; an unfinished sweep goes on.
-        trials: finished trials wanted in all.
-        split_seed: which trajectories validate.
-        scheduler: address of a dask scheduler whose workers shall run the trials.
+        set_: a setting as NAME=VALUE that all trials share; may be repeated.
     """
-    from measure import api
-
     with console.progress("sweeping", unit="per mille") as report:
-        options = api.SweepOptions(
-            of.estimator, api.parse_settings(of.set_), trials, split_seed, scheduler
-        )
-        state = api.sweep(data, space, journal, options, shares(report))
+        settings = api.parse_settings(set_)
+        state = api.sweep(data, space, journal, options, shares(report), settings)
     if json:
         console.print_json(state)
         return

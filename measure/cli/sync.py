@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
@@ -31,8 +32,6 @@ def sync(
         seconds: how much of each recording is looked at, from its start.
         profile: how to measure the session, by name or TOML file.
     """
-    from measure import api
-
     chosen = api.load_profile(profile)
     with console.progress("looking", "pictures") as report:
         clocks = api.sync(session, registry, chosen, out, overwrite, seconds, report)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from measure.api import draw_target
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 
@@ -23,8 +24,6 @@ def target(
             charuco_8x5_27, chessboard_9x6_25, raven_markers_16, raven_three_ball.
         out: .pdf or .svg to write; the target's name with .pdf in this folder if omitted.
     """
-    from measure.api import draw_target
-
     sheet, written = draw_target(target_file, out, overwrite)
     width, height = sheet.size_mm
     if json:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.errors import ConfigError
@@ -43,8 +44,6 @@ def world(
         out: the calibration to write.
         body: which body, of a run of several.
     """
-    from measure import api
-
     with api.output(out, overwrite) as file:
         if run is not None and board is None and pictures is None:
             found, place = api.world(calibration, run, at, rest, points, body)

@@ -20,6 +20,7 @@ from measure.robots import StateLog
 
 _LARGEST_OFFSET_S = 3600.0
 _LARGEST_RATE_HZ = 10_000.0
+_LONGEST_GAP_S = 0.05  # Labels farther than this from the robot's states are unusable
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,24 +54,33 @@ class PoseTrack:
 
 @dataclass(frozen=True)
 class AssemblySettings:
-    """How poses and states are paired."""
+    """How poses and states are paired.
 
-    # robot minus camera time; estimated from the motion if absent.
+    Attributes:
+        clock_offset_s: robot time minus camera time, if known.
+        largest_offset_s: search the offset within plus and minus this.
+        history_hz: add unlabelled states between the labels at this rate.
+        cut_s: cut recordings into trajectories of this length.
+        largest_sd_mm: do not learn from labels less certain than this.
+        outlier_sds: nor from those so many robust SDs from their neighbours' median; inf: from all.
+        as_it_is: keep labels that a frame, a tool or a clock explains, with a warning.
+    """
+
     clock_offset_s: float | None = None
-    largest_offset_s: float = 5.0  # search range of that estimate
-    longest_gap_s: float = 0.05  # a label farther than this from the robot's states is unusable
-    # a label this many robust SDs from its neighbours' median is an outlier.
+    largest_offset_s: float = 5.0
+    history_hz: float = 0.0
+    cut_s: float = 0.0
+    largest_sd_mm: float = 3.0
     outlier_sds: float = 6.0
-    largest_sd_mm: float = 3.0  # a label less certain than this (3-D) is unusable
-    history_hz: float = 0.0  # add unlabelled states between the labels at this rate; 0 adds none
-    cut_s: float = 0.0  # cut recordings into trajectories of this length; 0 keeps them whole
-    as_it_is: bool = False  # keep labels that a frame, a tool or a clock explains
+    as_it_is: bool = False
 
     def __post_init__(self) -> None:
         for name in ("largest_offset_s", "largest_sd_mm", "history_hz", "cut_s"):
             value = getattr(self, name)
             if not (value >= 0 and np.isfinite(value)):
                 raise EstimatorError(f"{name} is {value:g}: expected a number that is not negative")
+        if not self.outlier_sds > 0:
+            raise EstimatorError(f"outlier_sds is {self.outlier_sds:g}: expected a number above 0")
         if self.history_hz > _LARGEST_RATE_HZ:
             raise EstimatorError(
                 f"history_hz is {self.history_hz:g}: expected {_LARGEST_RATE_HZ:g} at most"
@@ -157,7 +167,7 @@ def _assemble_one(
     clock = _clock(track, finite, settings)
     offset = clock.offset_s if clock else settings.clock_offset_s or 0.0
     times, row_of_pose = _row_times(track.times_s + offset, finite, settings.history_hz)
-    states, near = interpolate(finite, times, settings.longest_gap_s)
+    states, near = interpolate(finite, times, _LONGEST_GAP_S)
     positions = np.full((len(times), 3), np.nan)
     covariances = np.tile(np.eye(3), (len(times), 1, 1))
     positions[row_of_pose] = track.positions_mm

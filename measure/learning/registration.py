@@ -45,12 +45,17 @@ class Recording:
 
 @dataclass(frozen=True)
 class RegisterOptions:
-    """What is registered, and what is known of it."""
+    """What is registered, and what is known of it.
 
-    kinematics: bool = False  # also fit the errors of the links
-    # robot minus camera time; estimated from the motion if absent.
+    Attributes:
+        kinematics: also fit the errors of the robot's links, each near its usual size.
+        clock_offset_s: robot time minus camera time, if known; else estimated from the motion.
+        largest_offset_s: search the offset within plus and minus this.
+    """
+
+    kinematics: bool = False
     clock_offset_s: float | None = None
-    largest_offset_s: float = 5.0  # search range of that estimate
+    largest_offset_s: float = 5.0
 
 
 def register(recordings: Sequence[Recording], options: RegisterOptions) -> RobotFrame:

@@ -32,9 +32,7 @@ class Pairing:
     tolerance_s: float  # the largest accepted distance from an instant
 
 
-def pair_nearest(
-    times_s: Sequence[Floats], tolerance_s: float | None = None, reference: int | None = None
-) -> Pairing:
+def pair_nearest(times_s: Sequence[Floats]) -> Pairing:
     """Pair images by nearest time.
 
     The instants are the stamps of the reference camera: the first whose median period is within 1 %
@@ -42,23 +40,18 @@ def pair_nearest(
     camera thins the others out nor a fast one makes sets of its own. Instants it missed (gaps, and
     the time before it started or after it ended) are filled in at its period where at least two
     other cameras have an image. Each image goes to the instant nearest to it, each instant takes
-    the nearest of a camera's images, and no image is used twice. The tolerance is half the
-    reference camera's median period if omitted.
+    the nearest of a camera's images that is within half a period, and no image is used twice.
     """
     periods = [float(np.median(np.diff(t))) if len(t) > 1 else np.inf for t in times_s]
-    if reference is None:
-        middle = sorted(periods)[len(periods) // 2]
-        alike = [p == middle or 0.99 < p / middle < 1.01 for p in periods]
-        reference = alike.index(True)
-    period = periods[reference]
-    if tolerance_s is None:
-        tolerance_s = period / 2
+    middle = sorted(periods)[len(periods) // 2]
+    reference = [p == middle or 0.99 < p / middle < 1.01 for p in periods].index(True)
+    period, tolerance_s = periods[reference], periods[reference] / 2
     instants, real = _instants(times_s, reference, period)
     positions = np.stack([_nearest(t, instants, tolerance_s) for t in times_s], axis=1)
     count = (positions >= 0).sum(axis=1)
     keep = (real & (count > 0)) | (count >= 2)
     positions = positions[keep]
-    return Pairing(positions, _mean_times(times_s, positions), reference, float(tolerance_s))
+    return Pairing(positions, _mean_times(times_s, positions), reference, tolerance_s)
 
 
 def seldom_paired(names: Sequence[str], counts: Sequence[int], pairing: Pairing) -> list[str]:
@@ -185,16 +178,9 @@ class Session:
             fingerprint.update(stream.frames.tobytes() + stream.times_s.tobytes())
         return fingerprint.hexdigest()
 
-    def pair(self, tolerance_s: float | None = None, reference: str | None = None) -> Pairing:
-        """Frames that form sets (see `pair_nearest`); SessionError if `reference` is no camera."""
-        names = list(self.streams)
-        if reference is not None and reference not in names:
-            raise SessionError(f"no camera '{reference}'; there is {', '.join(names)}")
-        return pair_nearest(
-            [stream.times_s for stream in self.streams.values()],
-            tolerance_s,
-            None if reference is None else names.index(reference),
-        )
+    def pair(self) -> Pairing:
+        """Frames that form sets (see `pair_nearest`)."""
+        return pair_nearest([stream.times_s for stream in self.streams.values()])
 
     def clock_notes(self) -> tuple[str, ...]:
         """Cameras whose clock the pairing contradicts, a line each."""
@@ -206,25 +192,17 @@ class Session:
         streams = self.streams.items()
         return tuple(f"{name}: {note}" for name, s in streams for note in s.stamps.notes)
 
-    def frame_sets(
-        self,
-        tolerance_s: float | None = None,
-        prefetch: int = DEFAULT_PREFETCH,
-        start: int = 0,
-        reference: str | None = None,
-    ) -> Iterator[FrameSet]:
+    def frame_sets(self, prefetch: int = DEFAULT_PREFETCH, start: int = 0) -> Iterator[FrameSet]:
         """Stream the frame sets (see `pair_nearest`) in order of time, decoded ahead.
 
         In bounded memory. SessionError: no two cameras have images close enough in time, or an
         image cannot be read (when its set is due).
         """
-        if tolerance_s is not None and not (np.isfinite(tolerance_s) and tolerance_s >= 0):
-            raise SessionError(f"the pairing tolerance must not be negative, got {tolerance_s} s")
-        paired = self.pair(tolerance_s, reference)
+        paired = self.pair()
         if not np.any((paired.positions >= 0).sum(axis=1) >= 2):
             raise SessionError(
                 f"{self.path}: no two cameras have images within {paired.tolerance_s:.4g} s of "
-                "each other; raise the tolerance or check the clocks"
+                "each other: check the clocks"
             )
         return stream_frame_sets(list(self.streams.values()), paired, prefetch, start)
 

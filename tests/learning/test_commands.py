@@ -117,7 +117,8 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
     from measure import api
     from measure.host import Registry
 
-    options = api.TrainOptions("mlp", {"layers": [30], "epochs": 30, "batch": 64}, resume=True)
+    options = api.TrainOptions("mlp", resume=True)
+    settings = {"layers": [30], "epochs": 30, "batch": 64}
     out = tmp_path / "m.onnx"
 
     class Killed(Exception):  # noqa: N818
@@ -132,14 +133,16 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
 
         patch.setattr(_checkpoint, "EVERY_S", 0.0)
         with pytest.raises(Killed):
-            api.train([data], out, options, Registry.discover(), kill)
+            api.train([data], out, options, Registry.discover(), kill, settings)
         seen: list[float] = []
-        again = api.train([data], out, options, Registry.discover(), lambda d, w: seen.append(d))
+        again = api.train(
+            [data], out, options, Registry.discover(), lambda d, w: seen.append(d), settings
+        )
     assert seen[0] > 0.4
     assert [line.epoch for line in again.curve] == list(range(len(again.curve)))
     straight = api.train(
-        [data], tmp_path / "s.onnx", api.TrainOptions("mlp", options.settings), Registry.discover(),
-        lambda d, w: None,
+        [data], tmp_path / "s.onnx", api.TrainOptions("mlp"), Registry.discover(),
+        lambda d, w: None, settings,
     )  # fmt: skip
     assert again.evaluation.after.rms_mm == pytest.approx(
         straight.evaluation.after.rms_mm, rel=1e-4

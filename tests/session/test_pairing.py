@@ -52,10 +52,9 @@ def test_fast_camera_gives_nearest_images_slow_one_gaps() -> None:
 
 
 def test_an_image_too_far_from_the_instant_is_left_out() -> None:
-    clocks = [_clock(0.0, 6), np.array([0.0, 0.045, 0.067, 0.1, 0.133, 0.167])]
-    assert pair_nearest(clocks).positions[1, 1] == 1
-    assert pair_nearest(clocks, tolerance_s=0.005).positions[1].tolist() == [1, -1]
-    assert pair_nearest(clocks, tolerance_s=0.012).positions[1].tolist() == [1, 1]
+    near, far = np.array([0.0, 0.045, 0.067, 0.1, 0.133, 0.167]), _clock(0.0, 6) + 5.4 * PERIOD
+    assert pair_nearest([_clock(0.0, 6), near]).positions[1].tolist() == [1, 1]
+    assert pair_nearest([_clock(0.0, 6), far]).positions[:, 1].tolist() == [-1] * 5 + [0]
 
 
 def test_reference_camera_may_lose_frames_but_no_set() -> None:
