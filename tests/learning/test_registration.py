@@ -217,7 +217,7 @@ def test_from_the_command_line_to_labels(
     labels = json.loads(capsys.readouterr().out)["labels"]
     assert labels["rms_mm"] < 0.8
     assert max(labels["largest_mm"]) < 3.0
-    assert main(["register", *source, "-o", str(frame)]) == 0
+    assert main(["register", *source, "-o", str(frame), "--overwrite"]) == 0
     assert "mm on halves held out" in capsys.readouterr().out
     raven = ["dataset", str(run), "--robot-log", str(log), "--frame", str(frame)]
     assert main([*raven, "--out", str(tmp_path / "raven.parquet")]) == 2
