@@ -2,10 +2,8 @@
 
 from measure.simulation.recording import write_session
 from measure.simulation.renderer import Renderer, render
-from measure.simulation.scene import Actor, Scene
+from measure.simulation.scene import Actor, Capsule, Cuboid, Lamp, Lighting, Material, Scene, Sphere
 from measure.simulation.sensor import CameraSensor
-from measure.simulation.shading import Lamp, Lighting, Material
-from measure.simulation.shapes import Capsule, Cuboid, Sphere
 from measure.simulation.trajectory import (
     ContinuousTrajectory,
     MotionLimits,

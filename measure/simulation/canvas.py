@@ -13,8 +13,8 @@ from measure.errors import ConfigError
 from measure.model import Intrinsics
 from measure.simulation.caster import Stage, spread
 from measure.simulation.kernels import NOTHING
+from measure.simulation.scene import Cuboid
 from measure.simulation.sensor import Linear
-from measure.simulation.shapes import Cuboid
 
 Index: TypeAlias = tuple[slice, slice]
 _BLOCK_PX = 8
@@ -134,10 +134,8 @@ def ideal_grid(intrinsics: Intrinsics) -> Floats:
     """Undistorted normalised coordinates (h + 2, w + 2, 2) of all pixels and one beyond the border.
 
     The lens model is inverted at every eighth pixel and interpolated by bicubic splines, true to
-    1e-6 px for ordinary lenses.
-
-    Raises:
-        ConfigError: the lens model has no inverse somewhere in the picture.
+    1e-6 px for ordinary lenses. ConfigError: the lens model has no inverse somewhere in the
+    picture.
     """
     from scipy.interpolate import RectBivariateSpline
 

@@ -12,8 +12,7 @@ from measure.arrays import Bools, Floats, Ints
 from measure.simulation import kernels
 from measure.simulation.kernels import NOTHING, REUSE, RayHits, choose_lit, meet, no_points
 from measure.simulation.light_kernels import LAMP_ROW, Lights, mean_of_pixels, reflect
-from measure.simulation.shading import Lighting, Mirror, Texture
-from measure.simulation.shapes import Capsule, Cuboid, Shape, Sphere
+from measure.simulation.scene import Capsule, Cuboid, Lighting, Mirror, Shape, Sphere, Texture
 
 _VELOCITY = slice(kernels.VELOCITY, kernels.VELOCITY + 3)
 _GOLDEN = (math.sqrt(5) - 1) / 2

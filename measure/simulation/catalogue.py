@@ -7,10 +7,8 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera, Intrinsics, paper_body
-from measure.simulation.scene import Scene
+from measure.simulation.scene import Capsule, Cuboid, Lamp, Lighting, Material, Rgb, Scene, Shape
 from measure.simulation.sensor import CameraSensor
-from measure.simulation.shading import Lamp, Lighting, Material, Rgb
-from measure.simulation.shapes import Capsule, Cuboid, Shape
 from measure.simulation.trajectory import MotionLimits, Sines, random_motion
 
 WORKSPACE_MM = np.array([0.0, 0.0, 250.0])
@@ -99,10 +97,9 @@ def lamps(
     return tuple(out)
 
 
-def plain_lighting(seed: int = 1, ambient: float = 0.2) -> Lighting:
+def plain_lighting(seed: int = 1) -> Lighting:
     """Two lamps and as much ambient light as a lit room gives."""
-    grey = (ambient, ambient, ambient)
-    return Lighting(lamps(seed), grey, (0.15, 0.15, 0.15))
+    return Lighting(lamps(seed), (0.2, 0.2, 0.2), (0.15, 0.15, 0.15))
 
 
 _FLAT_MM = 20.0

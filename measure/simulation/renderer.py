@@ -11,9 +11,8 @@ from measure.arrays import Bytes, Floats
 from measure.model import Camera
 from measure.simulation.canvas import Canvas, reduced
 from measure.simulation.caster import Stage
-from measure.simulation.scene import Scene
+from measure.simulation.scene import Scene, Shape
 from measure.simulation.sensor import Linear, develop
-from measure.simulation.shapes import Shape
 
 SAMPLES = 89  # Rays through a pixel that an edge crosses
 _BACKDROP_SAMPLES = 16

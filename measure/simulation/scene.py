@@ -1,15 +1,189 @@
-"""A scene: moving and standing shapes, cameras and light."""
+"""A scene: shapes, materials, light, and cameras.
+
+Rays are intersected with shapes in `kernels`; the formulas that join light and materials stand in
+`light_kernels`. Irradiance is scaled so that a white matt surface under an irradiance of 1 has a
+radiance of 1.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, TypeAlias
 
+import numpy as np
+
+from measure.arrays import Floats, Ints
 from measure.errors import ConfigError
+from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 from measure.simulation.sensor import CameraSensor
-from measure.simulation.shading import Lighting, Material, Rgb
-from measure.simulation.shapes import Shape, Sphere
 from measure.simulation.trajectory import ContinuousTrajectory
+
+Rgb = tuple[float, float, float]
+Texture: TypeAlias = Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """A surface."""
+
+    albedo_rgb: Rgb  # diffuse reflectance, linear, 0 to 1
+    # mirror reflectance at normal incidence (0.04 for plastic; 0 is ideally matt).
+    reflectance: float = 0.0
+    # standard deviation, per axis, of the slopes of the microfacets: highlights and mirror images
+    # are blurred by twice that.
+    roughness_rad: float = 0.05
+    # albedo (n, 3) of points (n, 3) in the frame of a `Cuboid`, instead of `albedo_rgb`.
+    texture: Texture | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """A round lamp."""
+
+    position_mm: Floats  # (3,) in the world
+    # at a distance of one metre; falls with the square of the distance.
+    irradiance_rgb: Rgb = (1.0, 1.0, 1.0)
+    radius_mm: float = 80.0  # radius of its disc; it softens shading, highlight and shadow
+
+
+class Mirror(Protocol):
+    """What the glossy shapes of a stage mirror beside the lamps."""
+
+    def radiance(self, points: Any, numbers: Ints, per_pixel: int) -> Floats:
+        """Radiance (n, 3) that surface points (n,) mirror to their viewers, B G R.
+
+        Args:
+            points: the `Points`.
+            numbers: (n,) index of each point in its pixel.
+            per_pixel: rays through a pixel.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Lighting:
+    """The light of a scene."""
+
+    lights: tuple[Lamp, ...]
+    # diffuse light from all sides, from above; less comes from below.
+    ambient_rgb: Rgb = (0.25, 0.25, 0.25)
+    # radiance from straight above that a `mirror` shows where no shape is; it falls gradually to 0
+    # at the horizon.
+    surround_rgb: Rgb = (0.12, 0.12, 0.12)
+    below: float = 0.3  # share of `ambient_rgb` that comes from below
+    shadows: bool = False  # whether balls darken each other and what stands behind them
+    # makes what glossy shapes mirror beside the lamps, of a stage's rows of shapes, lights,
+    # reflectance by shape and place, and part of an exposure; None: what is behind, blurred.
+    mirror: Callable[..., Mirror] | None = None
+    # (3,) unit vector, away from the floor.
+    up: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+
+    def seen_from(self, camera_from_world: RigidTransform) -> Lighting:
+        """The same light in a camera's frame."""
+        lamps = tuple(
+            replace(lamp, position_mm=camera_from_world.apply(lamp.position_mm))
+            for lamp in self.lights
+        )
+        return replace(self, lights=lamps, up=camera_from_world.rotate(self.up))
+
+
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """A ball: centre (3,) and radius in mm."""
+
+    center_mm: Floats
+    radius_mm: float
+    material: Material
+
+    def moved(self, target_from_source: RigidTransform) -> Sphere:
+        """The same ball in another frame."""
+        return replace(self, center_mm=target_from_source.apply(self.center_mm))
+
+    @property
+    def anchor(self) -> Floats:
+        """The point (3,) whose motion stands for the shape's."""
+        return np.asarray(self.center_mm, dtype=np.float64)
+
+    def clearance(self, directions: Floats) -> Floats:
+        """Angles (n,) in rad by which rays pass the silhouette; negative inside."""
+        along = directions @ self.anchor / np.linalg.norm(directions, axis=1)
+        across = np.sqrt(np.maximum(self.anchor @ self.anchor - along**2, 0))
+        return _as_angle(across - self.radius_mm, along)
+
+
+@dataclass(frozen=True, eq=False)
+class Capsule:
+    """A rod with round ends: axis from `start_mm` to `end_mm` (3,), radius in mm."""
+
+    start_mm: Floats
+    end_mm: Floats
+    radius_mm: float
+    material: Material
+
+    def moved(self, target_from_source: RigidTransform) -> Capsule:
+        """The same rod in another frame."""
+        ends = target_from_source.apply(np.stack([self.start_mm, self.end_mm]))
+        return replace(self, start_mm=ends[0], end_mm=ends[1])
+
+    @property
+    def anchor(self) -> Floats:
+        """The point (3,) whose motion stands for the shape's."""
+        return (np.asarray(self.start_mm, dtype=np.float64) + self.end_mm) / 2
+
+    def clearance(self, directions: Floats) -> Floats:
+        """Angles (n,) in rad by which rays pass the silhouette; negative inside."""
+        start = np.asarray(self.start_mm)
+        axis = self.end_mm - start
+        unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        # The point of the axis nearest to each line, kept between the ends.
+        cosine = unit @ axis
+        share = (unit @ start * cosine - start @ axis) / np.maximum(axis @ axis - cosine**2, _TINY)
+        near = start + np.clip(share, 0, 1)[:, None] * axis
+        along = np.einsum("ij,ij->i", unit, near)
+        across = np.sqrt(np.maximum(np.einsum("ij,ij->i", near, near) - along**2, 0))
+        return _as_angle(across - self.radius_mm, along)
+
+
+@dataclass(frozen=True, eq=False)
+class Cuboid:
+    """A cuboid; flat ones serve as boards, posters, walls and floors."""
+
+    frame_from_box: RigidTransform  # pose; the cuboid is centred in its own frame
+    size_mm: tuple[float, float, float]  # (3,) full edge lengths
+    material: Material  # its texture, if any, is evaluated in the box's frame
+
+    def moved(self, target_from_source: RigidTransform) -> Cuboid:
+        """The same cuboid in another frame."""
+        return replace(self, frame_from_box=target_from_source @ self.frame_from_box)
+
+    @property
+    def anchor(self) -> Floats:
+        """The point (3,) whose motion stands for the shape's."""
+        return self.frame_from_box.translation
+
+    def clearance(self, directions: Floats) -> Floats:
+        """As for a ball, of the bounding ball; -1 everywhere if the camera is inside it."""
+        ball = Sphere(self.anchor, float(np.linalg.norm(self.size_mm)) / 2, self.material)
+        if np.linalg.norm(self.anchor) <= ball.radius_mm:
+            return np.full(len(directions), -1.0)
+        return ball.clearance(directions)
+
+    def local(self, points: Floats) -> Floats:
+        """Points (n, 3) in the cuboid's own frame."""
+        return (points - self.anchor) @ self.frame_from_box.rotation
+
+
+Shape: TypeAlias = Sphere | Capsule | Cuboid
+
+
+def _as_angle(gap_mm: Floats, along_mm: Floats) -> Floats:
+    """Angles (n,) in rad of distances beside a ray, seen from its origin; inf behind it."""
+    return np.where(along_mm > 0, gap_mm / np.maximum(along_mm, _TINY), np.inf)
+
 
 BALL_ALBEDO: dict[str, Rgb] = {
     "red": (0.45, 0.012, 0.02),

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 
+_TERMS = 4  # sines in a random motion
+
 
 class ContinuousTrajectory(Protocol):
     """A pose as a function of time."""
@@ -68,17 +70,15 @@ class MotionLimits:
     fastest_hz: float = 0.5  # highest frequency of the sines
 
 
-def random_motion(
-    seed: int, middle: RigidTransform, limits: MotionLimits | None = None, terms: int = 4
-) -> Sines:
+def random_motion(seed: int, middle: RigidTransform, limits: MotionLimits | None = None) -> Sines:
     """A smooth random motion about `middle` that never exceeds `limits`.
 
     The bounds are those of the sums of amplitudes, so they hold at all times.
     """
     limits = limits or MotionLimits()
     rng = np.random.default_rng(seed)
-    frequencies = rng.uniform(limits.slowest_hz, limits.fastest_hz, (terms, 6))
-    amplitudes = rng.uniform(0.3, 1.0, (terms, 6)) / frequencies
+    frequencies = rng.uniform(limits.slowest_hz, limits.fastest_hz, (_TERMS, 6))
+    amplitudes = rng.uniform(0.3, 1.0, frequencies.shape) / frequencies
     amplitudes /= amplitudes.sum(axis=0)
     amplitudes[:, :3] *= limits.reach_mm
     amplitudes[:, 3:] *= limits.angle_rad / np.sqrt(3)
@@ -89,5 +89,5 @@ def random_motion(
         float(np.linalg.norm(peaks[3:])) / limits.turn_rad_s,
         1.0,
     )
-    phases = rng.uniform(0, 2 * np.pi, (terms, 6))
+    phases = rng.uniform(0, 2 * np.pi, frequencies.shape)
     return Sines(middle, amplitudes, frequencies / slower, phases)

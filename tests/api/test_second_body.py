@@ -13,8 +13,7 @@ from measure.host import Registry
 from measure.measuring import Status
 from measure.session import open_session
 from measure.simulation import Still, write_session
-from measure.simulation.shading import Material
-from measure.simulation.shapes import Capsule
+from measure.simulation.scene import Capsule, Material
 from tests.simulated.catalogue import scene_catalogue
 from tests.simulated.degraded import with_second_body
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.geometry import RigidTransform
-from measure.simulation.shading import Material
-from measure.simulation.shapes import Cuboid
+from measure.simulation.scene import Cuboid, Material
 
 _PAPER, _INK = 0.75, 0.025
 _THICK_MM = 4.0

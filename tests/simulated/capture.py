@@ -13,15 +13,13 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import Camera, paper_body
+from measure.session import Calibration, write_calibration
 from measure.simulation import kernels
 from measure.simulation.caster import Stage
 from measure.simulation.catalogue import WEBCAM, WORKSPACE_MM, cloth_room, lamps, look_at, paper_rig
-from measure.simulation.recording import calibration_toml
 from measure.simulation.renderer import Renderer
-from measure.simulation.scene import Scene
+from measure.simulation.scene import Capsule, Lighting, Material, Scene, Shape, Sphere
 from measure.simulation.sensor import CameraSensor, encode
-from measure.simulation.shading import Lighting, Material
-from measure.simulation.shapes import Capsule, Shape, Sphere
 from measure.simulation.trajectory import Still
 from tests.simulated.boards import Chessboard
 
@@ -223,8 +221,7 @@ def _write_texts(scene: CaptureScene, folder: Path) -> None:
             f"board_translation_mm = {pose.translation.tolist()}",
         ]
     (folder / "capture.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    truth = calibration_toml(scene.cameras)
-    (folder / "truth_calibration.toml").write_text(truth, encoding="utf-8")
+    write_calibration(folder / "truth_calibration.toml", Calibration(scene.cameras))
 
 
 def _write_lines(path: Path, header: str, rows: list[str]) -> None:

@@ -20,9 +20,17 @@ from measure.simulation.catalogue import (
     stems,
     webcam_scene,
 )
-from measure.simulation.scene import BALL_ALBEDO, Scene, painted
-from measure.simulation.shading import Lighting, Material
-from measure.simulation.shapes import Capsule, Cuboid, Shape, Sphere
+from measure.simulation.scene import (
+    BALL_ALBEDO,
+    Capsule,
+    Cuboid,
+    Lighting,
+    Material,
+    Scene,
+    Shape,
+    Sphere,
+    painted,
+)
 from measure.simulation.trajectory import MotionLimits
 from tests.simulated.mirroring import mirrored
 from tests.simulated.rooms import coloured_room

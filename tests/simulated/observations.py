@@ -12,8 +12,7 @@ from measure.geometry import Cone, RigidTransform, fit_cone, propagate, tangent_
 from measure.model import Ball, Camera, Detection
 from measure.simulation import kernels
 from measure.simulation.caster import Stage
-from measure.simulation.scene import Scene
-from measure.simulation.shapes import Shape
+from measure.simulation.scene import Scene, Shape
 
 MIN_POINTS = 8
 

@@ -7,9 +7,7 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.compiling import compiled
 from measure.simulation.catalogue import room
-from measure.simulation.scene import BALL_ALBEDO
-from measure.simulation.shading import Material, Rgb
-from measure.simulation.shapes import Shape
+from measure.simulation.scene import BALL_ALBEDO, Material, Rgb, Shape
 
 
 def coloured_room(seed: int = 0) -> tuple[Shape, ...]:

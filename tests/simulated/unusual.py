@@ -23,9 +23,7 @@ from measure.simulation.catalogue import (
     stems,
     webcam_scene,
 )
-from measure.simulation.scene import Scene, painted
-from measure.simulation.shading import Lamp, Lighting, Rgb
-from measure.simulation.shapes import Sphere
+from measure.simulation.scene import Lamp, Lighting, Rgb, Scene, Sphere, painted
 from measure.simulation.trajectory import MotionLimits
 from tests.simulated.catalogue import MATT, body, clutter_scene, four_ball_body, rolling
 from tests.simulated.mirroring import mirrored

@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.session import open_session, read_calibration
+from measure.session import Calibration, open_session, read_calibration, write_calibration
 from measure.simulation import CameraSensor, write_session
 from measure.simulation.catalogue import plain_scene
-from measure.simulation.recording import calibration_toml
 from measure.simulation.renderer import Renderer
 from measure.simulation.scene import Scene
 from tests.simulated.catalogue import async_scene, scene_catalogue
@@ -131,7 +130,7 @@ def test_degraded_calibrations_are_stated_not_true(tmp_path) -> None:
 @pytest.mark.parametrize("name", scene_catalogue())
 def test_calibrations_of_scenes_say_how_their_shutters_roll(name, tmp_path) -> None:
     scene, path = scene_catalogue()[name], tmp_path / "calibration.toml"
-    path.write_text(calibration_toml(scene.cameras))
+    write_calibration(path, Calibration(scene.cameras))
     for camera in read_calibration(path).cameras:
         row_time_s = scene.sensor_of(camera.name).row_time_s
         assert camera.row_delay_s([1.0, 0.0]) @ [1, -1] == pytest.approx(row_time_s, rel=1e-6)
