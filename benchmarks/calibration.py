@@ -118,8 +118,7 @@ def mark_errors(observations: RigObservations, true: tuple[Camera, ...]) -> list
 
 def in_pictures(capture: Capture, lenses: dict[str, Intrinsics]) -> Capture:
     """The capture without its hand marks, its lenses taken as calibrated."""
-    cameras = tuple(replace(c, known=lenses[c.name], marks={}) for c in capture.cameras)
-    return replace(capture, cameras=cameras)
+    return replace(capture, lenses=lenses, marks={})
 
 
 def normalised(found: tuple[Camera, ...], true: tuple[Camera, ...]) -> float:

@@ -27,7 +27,8 @@ from benchmarks.errors import body_cost, rms
 from measure.api import refine
 from measure.arrays import Floats
 from measure.calibration import RefineSettings, refine_rig
-from measure.calibration.refining import Recording, Refinement
+from measure.calibration.refining.recording import Recording
+from measure.calibration.refining.refine import Refinement
 from measure.errors import MeasureError
 from measure.geometry import align_points
 from measure.host import Registry

@@ -7,14 +7,13 @@ from measure.calibration.intrinsics import calibrate_lens
 from measure.calibration.markers import find_markers
 from measure.calibration.printing import Sheet, target_sheet, write_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
-from measure.calibration.refining import (
+from measure.calibration.refining.procedure import (
     RefinedRig,
-    RefineSettings,
     judge_refinement,
     refine_measured,
-    refine_rig,
     rough_cameras,
 )
+from measure.calibration.refining.refine import RefineSettings, refine_rig
 from measure.calibration.rig_problem import RigObservations, Tolerances
 from measure.calibration.targets import MarkerField, read_board
 from measure.calibration.verdict import Verdict, camera_rows, judge, judgement_lines, provenance

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -43,8 +43,8 @@ class CaptureTable(session.FileModel):
     model: Projection | None = None
 
 
-class CaptureCameraTable(session.FileModel):
-    """`[[cameras]]`."""
+class CaptureCamera(session.FileModel):
+    """`[[cameras]]`: what one camera contributes; files are relative to the folder."""
 
     name: session.Name
     intrinsics: session.Name | None = None
@@ -57,15 +57,14 @@ class CaptureCameraTable(session.FileModel):
     marker_image: session.Name | None = None
 
     @model_validator(mode="after")
-    def _complete(self) -> CaptureCameraTable:
+    def _complete(self) -> CaptureCamera:
         if (self.intrinsics is None) == (self.calibration is None):
             raise ValueError("give either intrinsics (pictures or a video) or calibration (a file)")
         if self.model and self.calibration:
             raise ValueError("model is for intrinsics: a calibration file states its own")
-        pose = (self.board_quat_wxyz is None, self.board_translation_mm is None)
-        if pose[0] != pose[1]:
+        if (self.board_quat_wxyz is None) != (self.board_translation_mm is None):
             raise ValueError("board_quat_wxyz and board_translation_mm belong together")
-        if self.board_image is not None and pose[0]:
+        if self.board_image is not None and self.board_quat_wxyz is None:
             raise ValueError(
                 "board_image needs the board's pose: board_quat_wxyz and board_translation_mm "
                 "(world_from_board)"
@@ -74,75 +73,68 @@ class CaptureCameraTable(session.FileModel):
             raise ValueError("board_quat_wxyz must have length 1")
         return self
 
+    @property
+    def world_from_board(self) -> RigidTransform:
+        """The pose of the board in `board_image`."""
+        assert self.board_quat_wxyz is not None
+        assert self.board_translation_mm is not None
+        return RigidTransform.from_quat_wxyz(self.board_quat_wxyz, self.board_translation_mm)
+
 
 class CaptureFile(session.FileModel):
     """`capture.toml`."""
 
     capture: CaptureTable
-    cameras: Annotated[list[CaptureCameraTable], Field(min_length=1)]
-
-
-@dataclass(frozen=True, eq=False)
-class CameraCapture:
-    """What one camera contributes."""
-
-    name: str
-    folder: Path
-    # name and reader of each board view for the lens (a video: one for all frames).
-    pictures: str | None
-    known: Intrinsics | None  # its lens, if that is given
-    board_image: Path | None  # picture of the board of known pose
-    world_from_board: RigidTransform | None  # that pose
-    marker_image: Path | None
-    marks: dict[str, Floats] = field(default_factory=dict)  # hand marks, by marker name (2,) px
-    # where about the board's origin appears, if that is given.
-    board_origin_px: tuple[float, float] | None = None
-    model: Projection | None = None  # the kind of lens to be calibrated, if that is stated
-
-    def views(self) -> Iterator[tuple[str, Bytes]]:
-        """Name and BGR pixels of the board's pictures; CalibrationError if there are none."""
-        assert self.pictures is not None
-        if Path(self.pictures).suffix.lower() in _VIDEO_ENDINGS:
-            yield from self._video(self.folder / self.pictures)
-            return
-        files = session.matching_files(self.folder, self.pictures, CalibrationError)
-        if not files:
-            raise CalibrationError(
-                f"camera {self.name}: no picture matches {self.folder / self.pictures}"
-            )
-        for file in files:
-            yield file.name, session.read_picture(file)
-
-    def still(self, path: Path, lens: Intrinsics) -> Bytes:
-        """A BGR picture by which the camera is located; CalibrationError if of another size."""
-        bgr = session.read_picture(path)
-        width, height = lens.size_wh
-        if bgr.shape[:2] != (height, width):
-            raise CalibrationError(
-                f"camera {self.name}: {path} is {bgr.shape[1]}x{bgr.shape[0]} px, its lens is "
-                f"known for pictures of {width}x{height} px: give a picture as the camera took it"
-            )
-        return bgr
-
-    def _video(self, path: Path) -> Iterator[tuple[str, Bytes]]:
-        stream = session.open_video_stream(self.name, path)
-        try:
-            step = 2 ** max(0, (len(stream) // _VIDEO_FRAMES).bit_length() - 1)
-            for index in range(0, len(stream), step):
-                yield f"{path.name} frame {stream.frames[index]}", stream.read(index).pixels
-        finally:
-            stream.close()
+    cameras: Annotated[list[CaptureCamera], Field(min_length=1)]
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
     """A capture folder, opened."""
 
-    path: Path
+    path: Path  # of its capture.toml
     settings: CaptureTable  # the `[capture]` table
     board: Board | None  # the board, if there is one
     markers: MarkerField  # the marker field, maybe empty
-    cameras: tuple[CameraCapture, ...]  # in the order of the file
+    cameras: tuple[CaptureCamera, ...]  # in the order of the file
+    # hand marks (2,) px, by camera and marker name.
+    marks: Mapping[str, dict[str, Floats]] = field(default_factory=dict)
+    # the lenses that are given, by camera name.
+    lenses: Mapping[str, Intrinsics] = field(default_factory=dict)
+
+    def views(self, camera: CaptureCamera) -> Iterator[tuple[str, Bytes]]:
+        """Name and BGR pixels of pictures of the board; CalibrationError if there are none."""
+        assert camera.intrinsics is not None
+        pattern, folder = camera.intrinsics, self.path.parent
+        if Path(pattern).suffix.lower() in _VIDEO_ENDINGS:
+            yield from _video(camera.name, folder / pattern)
+            return
+        files = session.matching_files(folder, pattern, CalibrationError)
+        if not files:
+            raise CalibrationError(f"camera {camera.name}: no picture matches {folder / pattern}")
+        for file in files:
+            yield file.name, session.read_picture(file)
+
+    def still(self, camera: CaptureCamera, name: str, lens: Intrinsics) -> Bytes:
+        """A BGR picture by which a camera is located; CalibrationError if of another size."""
+        path, (width, height) = self.path.parent / name, lens.size_wh
+        bgr = session.read_picture(path)
+        if bgr.shape[:2] != (height, width):
+            raise CalibrationError(
+                f"camera {camera.name}: {path} is {bgr.shape[1]}x{bgr.shape[0]} px, its lens is "
+                f"known for pictures of {width}x{height} px: give a picture as the camera took it"
+            )
+        return bgr
+
+
+def _video(camera: str, path: Path) -> Iterator[tuple[str, Bytes]]:
+    stream = session.open_video_stream(camera, path)
+    try:
+        step = 2 ** max(0, (len(stream) // _VIDEO_FRAMES).bit_length() - 1)
+        for index in range(0, len(stream), step):
+            yield f"{path.name} frame {stream.frames[index]}", stream.read(index).pixels
+    finally:
+        stream.close()
 
 
 def open_capture(path: Path | str) -> Capture:
@@ -150,13 +142,12 @@ def open_capture(path: Path | str) -> Capture:
     path = Path(path)
     file = path / "capture.toml" if path.is_dir() else path
     given = session.load_toml(file, CaptureFile, CalibrationError)
-    folder, settings = file.parent, given.capture
+    folder, settings, names = file.parent, given.capture, [c.name for c in given.cameras]
     board = None if settings.board is None else read_board(folder / settings.board)
     markers = MarkerField()
     if settings.markers is not None:
         markers = read_markers(folder / settings.markers, settings.marker_tolerance_mm)
     marks = {} if settings.marks is None else read_marks(folder / settings.marks, markers)
-    names = [table.name for table in given.cameras]
     for name in names:
         if names.count(name) > 1:
             raise CalibrationError(f"{file}: camera '{name}' is there {names.count(name)} times")
@@ -166,42 +157,19 @@ def open_capture(path: Path | str) -> Capture:
                 f"{folder / str(settings.marks)}: no camera is called '{name}'; "
                 f"there is {', '.join(names)}"
             )
-    cameras = tuple(
-        _camera(folder, table, marks.get(table.name, {}), settings.model) for table in given.cameras
-    )
-    if board is None and any(c.pictures or c.board_image for c in cameras):
+    lenses = {c.name: _lens(folder / c.calibration, c) for c in given.cameras if c.calibration}
+    if board is None and any(c.intrinsics or c.board_image for c in given.cameras):
         raise CalibrationError(
             f'{file}: pictures of a board need board = "board.toml" in [capture]'
         )
-    return Capture(file, settings, board, markers, cameras)
+    return Capture(file, settings, board, markers, tuple(given.cameras), marks, lenses)
 
 
-def _camera(
-    folder: Path, table: CaptureCameraTable, marks: dict[str, Floats], model: Projection | None
-) -> CameraCapture:
-    known = None
-    if table.calibration is not None:
-        lenses = session.read_intrinsics(folder / table.calibration)
-        known = lenses.get(table.name) or (
-            next(iter(lenses.values())) if len(lenses) == 1 else None
+def _lens(path: Path, camera: CaptureCamera) -> Intrinsics:
+    """The camera's own lens in a calibration file, or the only one there."""
+    lenses = session.read_intrinsics(path)
+    if camera.name not in lenses and len(lenses) != 1:
+        raise CalibrationError(
+            f"{path}: no camera is called '{camera.name}'; there is {', '.join(lenses)}"
         )
-        if known is None:
-            raise CalibrationError(
-                f"{folder / table.calibration}: no camera is called '{table.name}'; "
-                f"there is {', '.join(lenses)}"
-            )
-    pose = None
-    if table.board_quat_wxyz is not None and table.board_translation_mm is not None:
-        pose = RigidTransform.from_quat_wxyz(table.board_quat_wxyz, table.board_translation_mm)
-    return CameraCapture(
-        table.name,
-        folder,
-        table.intrinsics,
-        known,
-        None if table.board_image is None else folder / table.board_image,
-        pose,
-        None if table.marker_image is None else folder / table.marker_image,
-        marks,
-        table.board_origin_px,
-        table.model or model,
-    )
+    return lenses.get(camera.name) or next(iter(lenses.values()))

@@ -19,7 +19,7 @@ cameras; the standard deviation of the marks comes from their residuals, pooled 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -51,17 +51,18 @@ START_MARK_SD_PX = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RigFit:
-    """Cameras fitted jointly."""
+    """Cameras fitted jointly, or located by equation 3."""
 
     state: RigState  # cameras with their covariances, and where markers and boards came out
     # of all cameras' poses and free lens parameters together, camera after camera.
     covariance: Floats
     # by camera name, which rows of `covariance` are its pose (6) and lens parameters.
     columns: dict[str, Ints]
-    mark_residuals: dict[str, Floats]  # by camera name (n, 2) px
-    corner_sd_px: float  # as estimated from the residuals
-    mark_sd_px: float  # as estimated from the residuals
-    log_likelihood: float  # restricted, up to a constant; compares tolerances and weights
+    mark_sd_px: float  # as stated, or estimated from the residuals
+    # the rest is of a joint fit alone.
+    corner_sd_px: float | None = None  # as estimated from the residuals
+    mark_residuals: dict[str, Floats] = field(default_factory=dict)  # by camera name (n, 2) px
+    log_likelihood: float = np.nan  # restricted, up to a constant: compares tolerances and weights
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -137,9 +138,9 @@ def _answer(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> Ri
         replace(solution.state, cameras=tuple(cameras)),
         solution.covariance[:used, :used],
         {c.name: columns for c, columns in zip(cameras, layout.cameras, strict=True)},
-        residuals[MARKS],
-        float(sds[CORNERS]),
         float(sds[MARKS]),
+        float(sds[CORNERS]),
+        residuals[MARKS],
         _log_likelihood(solution, problem),
     )
 
@@ -240,21 +241,9 @@ def _likeliest(
     return best
 
 
-@dataclass(frozen=True, eq=False)
-class PaperFit:
-    """Cameras located by equation 3."""
-
-    cameras: tuple[Camera, ...]  # with the covariances of their poses
-    # of all cameras' poses and free lens parameters together, camera after camera.
-    covariance: Floats
-    # by camera name, which rows of `covariance` are its pose (6) and lens parameters.
-    columns: dict[str, Ints]
-    mark_sd_px: float  # as stated, or estimated from the residuals
-
-
 def fit_rig_by_paper(
     start: tuple[Camera, ...], observations: RigObservations, mark_sd_px: float | None = None
-) -> PaperFit:
+) -> RigFit:
     """Every camera by itself, from three markers or more, beginning at its rough pose."""
     cameras, squares, freedom = [], 0.0, 0.0
     for camera in start:
@@ -332,7 +321,7 @@ def _sensitivity(camera: Camera, points: Floats, pixels: Floats) -> tuple[Floats
 
 def _with_covariances(
     cameras: tuple[Camera, ...], observations: RigObservations, sd_px: float
-) -> PaperFit:
+) -> RigFit:
     """Marks and lenses are each camera's own; the places of the markers are common to all."""
     columns, take = dict[str, Ints](), Columns()
     own: list[Floats] = []
@@ -364,4 +353,5 @@ def _with_covariances(
         P = covariance[np.ix_(columns[camera.name], columns[camera.name])]
         rms_px = camera.reprojection_rms_px
         located.append(with_covariance(camera, P, free_parameters(camera), rms_px))
-    return PaperFit(tuple(located), covariance, columns, sd_px)
+    state = RigState(tuple(located), observations.markers, {})
+    return RigFit(state, covariance, columns, sd_px)

@@ -9,7 +9,6 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration.procedure import RigCalibration
-from measure.calibration.rig_problem import MarkerObservation
 from measure.calibration.starts import mm_per_px
 from measure.checking import Finding, Level
 from measure.errors import DegenerateGeometryError
@@ -67,7 +66,9 @@ def mark_findings(rig: RigCalibration) -> list[Finding]:
         marks, found = rig.observations.marks.get(camera.name), rig.found.get(camera.name)
         names: list[str] = []
         if marks is not None:
-            residuals = _mark_residuals(rig, camera, marks)
+            residuals = marks.pixels - camera.project(rig.observations.markers[marks.ids])
+            if rig.fit is not None:
+                residuals = rig.fit.mark_residuals.get(camera.name, residuals)
             worth = mm_per_px(camera, rig.observations.markers[marks.ids])
             names = [rig.markers.names[i] for i in marks.ids]
             findings += residual_findings(camera.name, residuals, worth, names)
@@ -104,28 +105,20 @@ def disagreement_findings(rig: RigCalibration) -> list[Finding]:
     return findings
 
 
-def _mark_residuals(rig: RigCalibration, camera: Camera, marks: MarkerObservation) -> Floats:
-    if rig.fit is not None and camera.name in rig.fit.mark_residuals:
-        return rig.fit.mark_residuals[camera.name]
-    return marks.pixels - camera.project(rig.observations.markers[marks.ids])
-
-
 def lens_findings(rig: RigCalibration) -> list[Finding]:
     """What the lenses' views lack, and why freer lenses were refused."""
     findings = []
     for name, lens in rig.lenses.items():
         if lens.views.covered_share < _MIN_COVERED_SHARE:
             text = (
-                f"the board was shown in {lens.views.covered_share:.0%} of the image only; "
-                "the lens "
-                "is extrapolated elsewhere"
+                f"the board was shown in {lens.views.covered_share:.0%} of the image only; the "
+                "lens is extrapolated elsewhere"
             )
             findings.append(Finding(Level.WEAK, "lens", text, name))
         if lens.views.mirrored:
             text = (
-                f"{lens.views.mirrored} pictures show the board mirrored, or its back; if "
-                "the camera "
-                "is in mirror (selfie) mode switch that off"
+                f"{lens.views.mirrored} pictures show the board mirrored, or its back; if the "
+                "camera is in mirror (selfie) mode switch that off"
             )
             findings.append(Finding(Level.WEAK, "lens", text, name))
         kinds = defaultdict[str, list[str]](list)

@@ -197,20 +197,17 @@ def _refuse_implausible(fit: SingleCameraFit, camera: str) -> None:
     sd = float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
     if not sd < MAX_FOCAL_SD * focal:
         raise CalibrationError(
-            f"camera {camera}: the views leave the focal length at {focal:.0f} +- {sd:.0f} "
-            "px; tilt "
-            "the board by 30 to 45 degrees in several directions"
+            f"camera {camera}: the views leave the focal length at {focal:.0f} +- {sd:.0f} px; "
+            "tilt the board by 30 to 45 degrees in several directions"
         )
     if fit.rms_px > MAX_RMS_PX:
         raise CalibrationError(
-            f"camera {camera}: the board's corners miss by {fit.rms_px:.1f} px RMS; check "
-            "the board's "
-            "numbers of corners, that it is flat, and that focus and zoom did not change"
+            f"camera {camera}: the board's corners miss by {fit.rms_px:.1f} px RMS; check the "
+            "board's numbers of corners, that it is flat, and that focus and zoom did not change"
         )
     fx, fy = fit.intrinsics.matrix[0, 0], fit.intrinsics.matrix[1, 1]
     if not 0.8 < fx / fy < 1.25:
         raise CalibrationError(
-            f"camera {camera}: fx / fy = {fx / fy:.3f} is no camera's: are the board's "
-            "squares square, "
-            "and were the pictures resized?"
+            f"camera {camera}: fx / fy = {fx / fy:.3f} is no camera's: are the board's squares "
+            "square, and were the pictures resized?"
         )

@@ -97,22 +97,17 @@ def _refined(
     chosen: Mapping[str, Dot | Cross],
     kind: MarkerKind,
 ) -> FoundMarkers:
-    places: dict[str, Floats] = {}
-    radii: dict[str, float] = {}
-    doubtful: dict[str, str] = {}
-    for name, rough in chosen.items():
-        if isinstance(rough, Dot):
-            dot = refine_dot(light, rough, outline_shape(camera.intrinsics, rough.center_px))
-            if dot is not None:
-                places[name], radii[name] = dot.center_px, dot.radius_px
-        else:
-            cross = refine_cross(light, rough)
-            if cross is not None:
-                places[name] = cross.center_px
-        if name not in places:
-            doubtful[name] = f"its picture is not that of a {_SINGULARS[kind]}"
-    doubtful |= _wrong_sizes(camera, markers, radii)
-    marks = {name: place for name, place in places.items() if name not in doubtful}
+    fitted = {
+        name: refine_dot(light, rough, outline_shape(camera.intrinsics, rough.center_px))
+        if isinstance(rough, Dot)
+        else refine_cross(light, rough)
+        for name, rough in chosen.items()
+    }
+    wrong = f"its picture is not that of a {_SINGULARS[kind]}"
+    doubtful = {name: wrong for name, mark in fitted.items() if mark is None}
+    dots = {name: mark.radius_px for name, mark in fitted.items() if isinstance(mark, Dot)}
+    doubtful |= _wrong_sizes(camera, markers, dots)
+    marks = {n: mark.center_px for n, mark in fitted.items() if mark and n not in doubtful}
     visible = camera.intrinsics.contains(camera.project(markers.points), 5.0)
     for number, name in enumerate(markers.names):
         if visible[number] and name not in marks and name not in doubtful:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -42,51 +42,48 @@ _FONT = "Helvetica"
 BAR_MM = 100.0  # Length of the scale bar, which has a tick every 10 mm
 MARGIN_MM = 8.0
 FOOTER_MM = 16.0
+_FOOTER_TEXT_MM = 2.6
+_LINE_MM = 0.2
 
 
 @dataclass(frozen=True)
-class Rectangle:
-    """A filled rectangle: left, top, width, height in mm, y downwards."""
+class Shape:
+    """An element of SVG (rect, circle, line or text), in mm, y downwards."""
 
-    x: float
-    y: float
-    width: float
-    height: float
-    black: bool = True
+    tag: str
+    place: dict[str, float]  # attributes: where it is and how large
+    style: dict[str, str]  # attributes: how it looks
+    text: str = ""
 
-
-@dataclass(frozen=True)
-class Disc:
-    """A circle: centre and radius in mm, filled or a hairline."""
-
-    x: float
-    y: float
-    radius: float
-    filled: bool = True
+    def moved(self, left: float, top: float) -> Shape:
+        """The same elsewhere."""
+        shift = {"x": left, "y": top}
+        place = {key: v + shift.get(key.strip("c12"), 0.0) for key, v in self.place.items()}
+        return replace(self, place=place)
 
 
-@dataclass(frozen=True)
-class Segment:
-    """A line in mm: where it begins, and how far it goes."""
-
-    x: float
-    y: float
-    dx: float
-    dy: float
-    width: float = 0.2
+def box(x: float, y: float, width: float, height: float, black: bool = True) -> Shape:
+    """A filled rectangle, from its top left corner."""
+    style = {"fill": "black" if black else "white", "shape-rendering": "crispEdges"}
+    return Shape("rect", {"x": x, "y": y, "width": width, "height": height}, style)
 
 
-@dataclass(frozen=True)
-class Label:
-    """Text, its baseline's left end in mm."""
-
-    x: float
-    y: float
-    text: str
-    height: float = 3.0
+def disc(x: float, y: float, radius: float, filled: bool = True) -> Shape:
+    """A circle about its centre, filled or a hairline."""
+    style = {"fill": "black" if filled else "none", "stroke": "none" if filled else "black"}
+    return Shape("circle", {"cx": x, "cy": y, "r": radius}, style | {"stroke-width": f"{_LINE_MM}"})
 
 
-Shape = Rectangle | Disc | Segment | Label
+def line(x: float, y: float, dx: float, dy: float) -> Shape:
+    """A line from a place, so far."""
+    place = {"x1": x, "y1": y, "x2": x + dx, "y2": y + dy}
+    return Shape("line", place, {"stroke": "black", "stroke-width": f"{_LINE_MM}"})
+
+
+def label(x: float, y: float, text: str, height: float = 3.0) -> Shape:
+    """Text, from its baseline's left end."""
+    style = {"font-family": f"{_FONT},Arial,sans-serif"}
+    return Shape("text", {"x": x, "y": y, "font-size": height}, style, text)
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ class Sheet:
     size_mm: tuple[float, float]
     paper: str  # its name, "A4" and so on, or "" if none fits
     origin_mm: tuple[float, float]  # where the target's own origin came to lie
-    shapes: tuple[Shape, ...] = field(default=())
+    shapes: tuple[Shape, ...]
     note: str = ""  # what to know before it is used, or ""
 
 
@@ -106,33 +103,30 @@ def lay_out(
     """Put a drawing, in mm from its top left corner, on the smallest paper, with a scale bar."""
     wanted = (size_mm[0] + 2 * MARGIN_MM, size_mm[1] + MARGIN_MM + FOOTER_MM)
     paper, page = "", wanted
-    for name, (short, long) in _PAPERS_MM.items():
-        fitting = [
-            p for p in ((short, long), (long, short)) if p[0] >= wanted[0] and p[1] >= wanted[1]
-        ]
+    for name, sides in _PAPERS_MM.items():
+        fitting = [p for p in (sides, sides[::-1]) if p[0] >= wanted[0] and p[1] >= wanted[1]]
         if fitting:
             paper, page = name, fitting[0]
             break
     left = (page[0] - size_mm[0]) / 2
     top = MARGIN_MM + (page[1] - wanted[1]) / 2
-    moved = [replace(shape, x=shape.x + left, y=shape.y + top) for shape in shapes]
     hint = f"Print at 100 %: the bar must measure {BAR_MM:.0f} mm; measure the drawing too."
-    at, line = MARGIN_MM + BAR_MM + 6, page[1] - FOOTER_MM / 2
-    footer: list[Shape] = [Segment(MARGIN_MM, line, BAR_MM, 0)]
+    at, bar = MARGIN_MM + BAR_MM + 6, page[1] - FOOTER_MM / 2
+    footer = [line(MARGIN_MM, bar, BAR_MM, 0)]
     for tick in range(0, int(BAR_MM) + 1, 10):
-        footer += [Segment(MARGIN_MM + tick, line, 0, -2.5 if tick % 50 == 0 else -1.5)]
-    footer += [_fitted(Label(at, line - 2, text, 2.6), page[0] - MARGIN_MM)]
-    footer += [_fitted(Label(at, line + 2, hint, 2.6), page[0] - MARGIN_MM)]
+        footer += [line(MARGIN_MM + tick, bar, 0, -2.5 if tick % 50 == 0 else -1.5)]
+    footer += [_fitted(at, bar - 2, text, page[0] - MARGIN_MM)]
+    footer += [_fitted(at, bar + 2, hint, page[0] - MARGIN_MM)]
     origin = (origin_mm[0] + left, origin_mm[1] + top)
-    return Sheet(page, paper, origin, (*moved, *footer))
+    return Sheet(page, paper, origin, (*(shape.moved(left, top) for shape in shapes), *footer))
 
 
-def _fitted(label: Label, right: float) -> Label:
-    """The label, smaller if it would reach past `right`."""
+def _fitted(x: float, y: float, text: str, right: float) -> Shape:
+    """A label of the footer, smaller if it would reach past `right`."""
     from reportlab.pdfbase.pdfmetrics import stringWidth
 
-    width = stringWidth(label.text, _FONT, label.height)
-    return replace(label, height=label.height * min(1.0, (right - label.x) / max(width, 1e-9)))
+    width = stringWidth(text, _FONT, _FOOTER_TEXT_MM)
+    return label(x, y, text, _FOOTER_TEXT_MM * min(1.0, (right - x) / max(width, 1e-9)))
 
 
 def write_sheet(sheet: Sheet, path: Path) -> None:
@@ -140,41 +134,24 @@ def write_sheet(sheet: Sheet, path: Path) -> None:
     if path.suffix.lower() == ".pdf":
         _write_pdf(sheet, path)
     elif path.suffix.lower() == ".svg":
-        path.write_text(svg(sheet), encoding="utf-8")
+        path.write_text(_svg(sheet), encoding="utf-8")
     else:
         raise ConfigError(f"{path}: a target is written as .pdf or .svg")
 
 
-def svg(sheet: Sheet) -> str:
+def _svg(sheet: Sheet) -> str:
     """The sheet as SVG, one user unit a millimetre."""
     width, height = sheet.size_mm
-    body = "\n".join(_svg_shape(shape) for shape in sheet.shapes)
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
-        f'viewBox="0 0 {width:g} {height:g}">\n'
-        f'<rect width="{width:g}" height="{height:g}" fill="white"/>\n{body}\n</svg>\n'
-    )
-
-
-def _svg_shape(shape: Shape) -> str:
-    if isinstance(shape, Rectangle):
-        fill = "black" if shape.black else "white"
-        return (
-            f'<rect x="{shape.x:.4f}" y="{shape.y:.4f}" width="{shape.width:.4f}" '
-            f'height="{shape.height:.4f}" fill="{fill}" shape-rendering="crispEdges"/>'
-        )
-    if isinstance(shape, Disc):
-        style = 'fill="black"' if shape.filled else 'fill="none" stroke="black" stroke-width="0.2"'
-        return f'<circle cx="{shape.x:.4f}" cy="{shape.y:.4f}" r="{shape.radius:.4f}" {style}/>'
-    if isinstance(shape, Segment):
-        return (
-            f'<line x1="{shape.x:.4f}" y1="{shape.y:.4f}" x2="{shape.x + shape.dx:.4f}" '
-            f'y2="{shape.y + shape.dy:.4f}" stroke="black" stroke-width="{shape.width:g}"/>'
-        )
-    return (
-        f'<text x="{shape.x:.3f}" y="{shape.y:.3f}" font-family="{_FONT},Arial,sans-serif" '
-        f'font-size="{shape.height:g}">{escape(shape.text)}</text>'
-    )
+    page = f'width="{width:g}mm" height="{height:g}mm" viewBox="0 0 {width:g} {height:g}"'
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" {page}>',
+        f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
+    ]
+    for shape in sheet.shapes:
+        attributes = {key: f"{v:.4f}" for key, v in shape.place.items()} | shape.style
+        said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+        lines.append(f"<{shape.tag} {said}>{escape(shape.text)}</{shape.tag}>")
+    return "\n".join([*lines, "</svg>", ""])
 
 
 def _write_pdf(sheet: Sheet, path: Path) -> None:
@@ -184,27 +161,22 @@ def _write_pdf(sheet: Sheet, path: Path) -> None:
     size = (width * _POINTS_PER_MM, height * _POINTS_PER_MM)
     canvas = Canvas(str(path), pagesize=size, invariant=1)
     canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)
+    canvas.setLineWidth(_LINE_MM)
     for shape in sheet.shapes:
-        if isinstance(shape, Rectangle):
-            level = 0.0 if shape.black else 1.0
-            canvas.setFillGray(level)
-            bottom = height - shape.y - shape.height
-            canvas.rect(shape.x, bottom, shape.width, shape.height, stroke=0, fill=1)
-        elif isinstance(shape, Disc):
-            canvas.setFillGray(0.0)
-            canvas.setLineWidth(0.2)
-            canvas.circle(
-                shape.x, height - shape.y, shape.radius, stroke=not shape.filled, fill=shape.filled
-            )
-        elif isinstance(shape, Segment):
-            canvas.setLineWidth(shape.width)
-            bottom = height - shape.y
-            canvas.line(shape.x, bottom, shape.x + shape.dx, bottom - shape.dy)
+        at, fill = shape.place, shape.style.get("fill", "black")
+        canvas.setFillGray(1.0 if fill == "white" else 0.0)
+        if shape.tag == "rect":
+            bottom = height - at["y"] - at["height"]
+            canvas.rect(at["x"], bottom, at["width"], at["height"], stroke=0, fill=1)
+        elif shape.tag == "circle":
+            hollow = fill == "none"
+            canvas.circle(at["cx"], height - at["cy"], at["r"], stroke=hollow, fill=not hollow)
+        elif shape.tag == "line":
+            canvas.line(at["x1"], height - at["y1"], at["x2"], height - at["y2"])
         else:
-            canvas.setFillGray(0.0)
             text = shape.text.encode("cp1252", "replace").decode("cp1252")  # what the font holds
-            canvas.setFont(_FONT, shape.height)
-            canvas.drawString(shape.x, height - shape.y, text)
+            canvas.setFont(_FONT, at["font-size"])
+            canvas.drawString(at["x"], height - at["y"], text)
     canvas.save()
 
 
@@ -233,7 +205,7 @@ def chessboard_sheet(board: Chessboard, name: str) -> Sheet:
     columns, rows = (n + 1 for n in board.inner_corners)
     side = board.square_mm
     shapes: list[Shape] = [
-        Rectangle(x * side, y * side, side, side)
+        box(x * side, y * side, side, side)
         for y in range(rows)
         for x in range(columns)
         if (x + y) % 2 == 0
@@ -262,11 +234,11 @@ def charuco_sheet(board: Charuco, name: str) -> Sheet:
         with_marker.add((int(left // side), int(top // side)))
         bits = np.asarray(dictionary.generateImageMarker(int(number), dictionary.markerSize + 2))
         markers += _cells(bits, float(left), float(top), board.marker_mm, not board.inverted)
-    shapes: list[Shape] = [Rectangle(0, 0, *size, black=False)]
+    shapes: list[Shape] = [box(0, 0, *size, black=False)]
     if board.inverted:
-        shapes = [Rectangle(-4, -4, size[0] + 8, size[1] + 8)]
+        shapes = [box(-4, -4, size[0] + 8, size[1] + 8)]
     shapes += [
-        Rectangle(x * side, y * side, side, side, black=not board.inverted)
+        box(x * side, y * side, side, side, black=not board.inverted)
         for y in range(rows)
         for x in range(columns)
         if (x, y) not in with_marker
@@ -279,9 +251,9 @@ def _cells(bits: Bytes, left: float, top: float, side: float, black: bool = True
     """The light cells (n, n) of a marker on a box of the other colour."""
     cell = side / len(bits)
     return [
-        Rectangle(left, top, side, side, black),
+        box(left, top, side, side, black),
         *(
-            Rectangle(left + x * cell, top + y * cell, cell, cell, not black)
+            box(left + x * cell, top + y * cell, cell, cell, not black)
             for y, x in zip(*np.nonzero(bits), strict=True)
         ),
     ]
@@ -293,7 +265,7 @@ def aprilgrid_sheet(board: AprilGrid, name: str) -> Sheet:
     gap = side * board.tag_spacing
     pitch, size = side + gap, (columns * (side + gap) + gap, rows * (side + gap) + gap)
     shapes: list[Shape] = [
-        Rectangle(column * pitch, row * pitch, gap, gap)
+        box(column * pitch, row * pitch, gap, gap)
         for row in range(rows + 1)
         for column in range(columns + 1)
     ]
@@ -315,18 +287,18 @@ def marker_sheet(field: MarkerField, name: str, dot_mm: float) -> Sheet:
     shapes: list[Shape] = []
     if 0 <= origin[0] <= size[0] and 0 <= origin[1] <= size[1]:
         shapes += _cross(*origin, 10.0)
-        shapes.append(Label(origin[0] + 2, origin[1] - 2, "world origin: x right, y up"))
+        shapes.append(label(origin[0] + 2, origin[1] - 2, "world origin: x right, y up"))
     else:
         x, y, _ = field.points[0]
         text = f"x right, y up; {field.names[0]} stands at x = {x:g}, y = {y:g} mm"
-        shapes.append(Label(2, 4, text, 2.2))
+        shapes.append(label(2, 4, text, 2.2))
     labels: dict[tuple[float, float], list[str]] = {}
     for marker, (x, y, z) in zip(field.names, field.points.tolist(), strict=True):
         labels.setdefault((origin[0] + x, origin[1] - y), []).append(f"{marker} z={z:g}")
     for (x, y), texts in labels.items():
         shapes += _cross(x, y, _CROSS_MM)
-        shapes.append(Disc(x, y, dot_mm / 2))
-        shapes.append(Label(x - 12, y + 8, ", ".join(texts), 2.2))
+        shapes.append(disc(x, y, dot_mm / 2))
+        shapes.append(label(x - 12, y + 8, ", ".join(texts), 2.2))
     return lay_out(shapes, size, origin, name)
 
 
@@ -338,18 +310,18 @@ def body_sheet(body: Body) -> Sheet:
     size = (float(high[0] - low[0]), float(high[1] - low[1]))
     origin = (float(-low[0]), float(high[1]))
     shapes: list[Shape] = _cross(*origin, 10.0)
-    shapes.append(Label(origin[0] + 2, origin[1] + 6, "origin"))
+    shapes.append(label(origin[0] + 2, origin[1] + 6, "origin"))
     for ball in body.balls:
         x, y = origin[0] + float(ball.center_mm[0]), origin[1] - float(ball.center_mm[1])
-        shapes.append(Disc(x, y, ball.radius_mm, filled=False))
+        shapes.append(disc(x, y, ball.radius_mm, filled=False))
         shapes += _cross(x, y, _CROSS_MM)
         text = f"{ball.name}: diameter {2 * ball.radius_mm:g} mm, z = {ball.center_mm[2]:g} mm"
-        shapes.append(Label(x - ball.radius_mm * 0.8, y - 3, text, 2.0))
+        shapes.append(label(x - ball.radius_mm * 0.8, y - 3, text, 2.0))
     return lay_out(shapes, size, origin, body.name)
 
 
 def _cross(x: float, y: float, reach: float) -> list[Shape]:
-    return [Segment(x - reach, y, 2 * reach, 0), Segment(x, y - reach, 0, 2 * reach)]
+    return [line(x - reach, y, 2 * reach, 0), line(x, y - reach, 0, 2 * reach)]
 
 
 _SHEETS: dict[str, Callable[[Any, str], Sheet]] = {

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import cv2
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Bytes, Floats
 from measure.calibration.boards import Board, CornerRule
-from measure.calibration.capture import CameraCapture, Capture, CaptureTable
+from measure.calibration.capture import Capture, CaptureCamera
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.extrinsics import (
     DEFAULT_COMMON_PX,
-    PaperFit,
     RigFit,
     fit_rig_by_paper,
     fit_rig_with_boards,
@@ -53,10 +54,9 @@ class RigCalibration:
     cameras: tuple[Camera, ...]
     method: Method
     lenses: dict[str, LensCalibration]  # by camera name, where the lens was calibrated here
-    fit: RigFit | None  # the joint fit, if there was one
+    fit: RigFit | None  # of all cameras, by `method`; None of common views
     observations: RigObservations
     markers: MarkerField
-    paper: PaperFit | None = None  # the fit by equation 3, if that was the method
     # at their rough poses, lenses as calibrated by themselves.
     cameras_before: tuple[Camera, ...] = ()
     found: dict[str, FoundMarkers] = field(default_factory=dict)
@@ -82,24 +82,28 @@ def calibrate_capture(
     for done, camera in enumerate(capture.cameras):
         if progress is not None:
             progress(done, len(capture.cameras))
-        if camera.known is not None:
-            known[camera.name] = camera.known
+        if camera.name in capture.lenses:
+            known[camera.name] = capture.lenses[camera.name]
         else:
             assert capture.board is not None
-            views = find_views(capture.board, camera.views(), camera.name, limit)
-            lens = calibrate_lens(capture.board, views, camera.name, camera.model)
-            lenses[camera.name] = replace(lens, lateral_color=_lateral_color(lens, camera))
+            views = find_views(capture.board, capture.views(camera), camera.name, limit)
+            model = camera.model or capture.settings.model
+            lens = calibrate_lens(capture.board, views, camera.name, model)
+            color = _lateral_color(lens, capture.views(camera))
+            lenses[camera.name] = replace(lens, lateral_color=color)
             known[camera.name] = lenses[camera.name].intrinsics
     if capture.settings.common_views:
         return _relative(capture, lenses)
     return _locate_all(capture, method, lenses, known)
 
 
-def _lateral_color(lens: LensCalibration, camera: CameraCapture) -> tuple[float, float] | None:
+def _lateral_color(
+    lens: LensCalibration, pictures: Iterable[tuple[str, Bytes]]
+) -> tuple[float, float] | None:
     """Of red and blue, by pictures of the board, which is grey."""
     center = lens.fit.intrinsics.matrix[:2, 2]
     used = {view.source for view in lens.views.views[:_COLOR_VIEWS]}
-    found = lateral_color((picture, center) for name, picture in camera.views() if name in used)
+    found = lateral_color((picture, center) for name, picture in pictures if name in used)
     return None if found is None else (float(found.red_blue[0]), float(found.red_blue[1]))
 
 
@@ -139,7 +143,7 @@ def _locate_all(
         name, start = camera.name, None
         if name in seen:
             start = start_from_board(name, known[name], seen[name])
-            by_hand = marker_observation(camera.marks, markers)
+            by_hand = marker_observation(capture.marks.get(name, {}), markers)
             if by_hand is not None:  # before a search that would begin at a wrong place
                 check_board_against_marks(start, seen, markers, by_hand)
         start, observed, finds = marks_of(camera, known[name], start, capture)
@@ -157,14 +161,14 @@ def _locate_all(
         method,
         lenses,
         None,
-        RigObservations(markers.points, seen, marks, _stated_tolerances(capture, seen)),
+        RigObservations(markers.points, seen, marks),
         markers,
         cameras_before=tuple(starts),
         found=found,
         disagreement_mm=disagreement_mm,
         around=np.concatenate([np.zeros((0, 3)), *places]),
     )
-    return _fitted(rough, capture.settings)
+    return _fitted(rough, capture)
 
 
 def _boards_of(
@@ -176,42 +180,36 @@ def _boards_of(
         if camera.board_image is not None and capture.board is not None:
             calibrated, lens = lenses.get(camera.name), known[camera.name]
             rule: CornerRule = "pattern" if calibrated is None else calibrated.corner_rule
-            found = _see_board(camera, lens, capture.board, rule)
+            found = _see_board(capture, camera, lens, capture.board, rule)
             seen[camera.name] = oriented_board(camera, lens, found, capture)
     return seen
 
 
-def _fitted(rough: RigCalibration, settings: CaptureTable) -> RigCalibration:
+def _fitted(rough: RigCalibration, capture: Capture) -> RigCalibration:
     """The rig by its method, from rough poses."""
-    rig = rough.cameras, rough.observations, settings.mark_sd_px
+    seen, settings = rough.observations, capture.settings
+    stated = settings.board_tolerance_mm, settings.board_tolerance_deg
+    held = held_within(seen.boards, *stated)
+    tolerances = Tolerances(capture.markers.tolerance_mm, *held, DEFAULT_COMMON_PX)
+    rig = rough.cameras, replace(seen, tolerances=tolerances), settings.mark_sd_px
     if rough.method == "paper":
-        paper = fit_rig_by_paper(*rig)
-        return replace(rough, cameras=paper.cameras, paper=paper)
-    stated = settings.board_tolerance_mm is not None or settings.board_tolerance_deg is not None
-    fit, tolerances = fit_rig_with_boards(*rig, stated)
-    observations = replace(rough.observations, tolerances=tolerances)
+        fit = fit_rig_by_paper(*rig)
+    else:
+        fit, tolerances = fit_rig_with_boards(*rig, stated != (None, None))
+    observations = replace(seen, tolerances=tolerances)
     return replace(rough, cameras=fit.cameras, fit=fit, observations=observations)
 
 
-def _stated_tolerances(capture: Capture, boards: dict[str, BoardObservation]) -> Tolerances:
-    settings = capture.settings
-    stated = settings.board_tolerance_mm, settings.board_tolerance_deg
-    return Tolerances(
-        capture.markers.tolerance_mm, *held_within(boards, *stated), DEFAULT_COMMON_PX
-    )
-
-
 def _see_board(
-    camera: CameraCapture, lens: Intrinsics, board: Board, rule: CornerRule
+    capture: Capture, camera: CaptureCamera, lens: Intrinsics, board: Board, rule: CornerRule
 ) -> BoardObservation:
     assert camera.board_image is not None
-    assert camera.world_from_board is not None
-    bgr = camera.still(camera.board_image, lens)
+    bgr = capture.still(camera, camera.board_image, lens)
     gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-    corners = board.find(gray, camera.board_image.name)
+    corners = board.find(gray, Path(camera.board_image).name)
     if corners is None:
         raise CalibrationError(
-            f"camera {camera.name}: no board found in {camera.board_image}; "
+            f"camera {camera.name}: no board found in {capture.path.parent / camera.board_image}; "
             + (
                 charuco_slip(board, [gray])
                 or "all of it must be in view, as board.toml says, sharp"

@@ -10,7 +10,7 @@ import numpy as np
 from measure.arrays import Floats, rms_length
 from measure.calibration.board_views import board_pose
 from measure.calibration.boards import Board, Corners, same_after
-from measure.calibration.capture import CameraCapture, Capture
+from measure.calibration.capture import Capture, CaptureCamera
 from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.intrinsics import fit_pose_only
 from measure.calibration.markers import FoundMarkers, assign, find_markers
@@ -86,7 +86,7 @@ _CLEAR_RATIO = 3.0  # How much worse the marks must fit any other turn
 
 
 def oriented_board(
-    camera: CameraCapture, lens: Intrinsics, seen: BoardObservation, capture: Capture
+    camera: CaptureCamera, lens: Intrinsics, seen: BoardObservation, capture: Capture
 ) -> BoardObservation:
     """The board with its corners numbered as they are; CalibrationError if nothing tells how.
 
@@ -118,7 +118,7 @@ def oriented_board(
 
 
 def _misfit_px(
-    camera: CameraCapture, lens: Intrinsics, seen: BoardObservation, capture: Capture
+    camera: CaptureCamera, lens: Intrinsics, seen: BoardObservation, capture: Capture
 ) -> float:
     """By how much marks miss if the board lies so; infinite under the floor or without finds."""
     start = start_from_board(camera.name, lens, seen)
@@ -133,11 +133,12 @@ def _misfit_px(
 
 
 def marks_of(
-    camera: CameraCapture, lens: Intrinsics, start: Camera | None, capture: Capture
+    camera: CaptureCamera, lens: Intrinsics, start: Camera | None, capture: Capture
 ) -> tuple[Camera, MarkerObservation | None, FoundMarkers | None]:
     """The rough camera, its marks by hand and by search (the hand wins), and the search's finds."""
     markers = capture.markers
-    by_hand = marker_observation(camera.marks, markers)
+    own = capture.marks.get(camera.name, {})
+    by_hand = marker_observation(own, markers)
     if start is None:
         if by_hand is None:
             raise CalibrationError(
@@ -149,17 +150,17 @@ def marks_of(
         return start, by_hand, None
     visible = lens.contains(start.project(markers.points), 5.0)
     names = [name for name, seen in zip(markers.names, visible, strict=True) if seen]
-    if all(name in camera.marks for name in names):
+    if all(name in own for name in names):
         return start, by_hand, None
-    picture = camera.still(camera.marker_image, lens)
+    picture = capture.still(camera, camera.marker_image, lens)
     try:
         finds = find_markers(picture, start, markers, capture.settings.marker_kind)
     except CalibrationError:
         if by_hand is None:
             raise
         return start, by_hand, None
-    observed = marker_observation({**finds.marks, **camera.marks}, markers)
-    if observed is not None and 2 * len(camera.marks) < len(observed.ids):
+    observed = marker_observation({**finds.marks, **own}, markers)
+    if observed is not None and 2 * len(own) < len(observed.ids):
         observed = replace(observed, searched=True)
     return start, observed, finds
 

@@ -58,16 +58,20 @@ class Verdict:
 
 
 def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> Verdict:
-    """Judge a calibration over the workspace its markers (or cameras) enclose."""
-    around = rig.markers.points if len(rig.markers.points) else rig.around
-    workspace = workspace_of(rig.cameras, around)
+    """Judge a calibration over the workspace its markers (or cameras) enclose.
+
+    The floor is at z = 0 if none is stated and all markers stand above that.
+    """
+    markers = rig.markers.points
+    workspace = workspace_of(rig.cameras, markers if len(markers) else rig.around)
+    if floor_z_mm is None and len(markers) and markers[:, 2].min() >= 0:
+        floor_z_mm = 0.0
     poses = [RigidTransform(np.eye(3), point) for point in workspace.grid()]
-    fit = rig.fit or rig.paper
-    joint = (None, None) if fit is None else (fit.covariance, fit.columns)
+    joint = (None, None) if rig.fit is None else (rig.fit.covariance, rig.fit.columns)
     position, rotation = body_pose_sd(rig.cameras, body, poses, *joint)
     held_out_px, held_out_mm = _held_out(rig)
     scale, scale_findings = _scale(rig)
-    findings = plausibility(rig.cameras, workspace, _floor(rig, floor_z_mm))
+    findings = plausibility(rig.cameras, workspace, floor_z_mm)
     findings += mark_findings(rig) + disagreement_findings(rig) + scale_findings
     findings += lens_findings(rig)
     findings += accuracy_findings(position)
@@ -83,16 +87,9 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
     )
 
 
-def _floor(rig: RigCalibration, stated: float | None) -> float | None:
-    """The stated floor; else z = 0 if all markers stand above it."""
-    if stated is not None or not len(rig.markers.points):
-        return stated
-    return 0.0 if float(rig.markers.points[:, 2].min()) >= 0 else None
-
-
 def _held_out(rig: RigCalibration) -> tuple[float, float]:
     """Marks kept out of the fit in turn, and missed by how much."""
-    if rig.fit is None or not rig.observations.marks:
+    if rig.fit is None or rig.method == "paper" or not rig.observations.marks:
         return float("nan"), float("nan")
     squares_px, squares_mm, count = 0.0, 0.0, 0
     for fold in range(_FOLDS):
@@ -133,14 +130,15 @@ def _split(
 
 def _scale(rig: RigCalibration) -> tuple[float, list[Finding]]:
     """The marker field's size as cameras placed by their boards alone see it."""
-    if rig.fit is None or not rig.observations.boards or not rig.observations.marks:
+    seen, joint = rig.observations, rig.fit is not None and rig.method == "joint"
+    if not (joint and seen.boards and seen.marks):
         return float("nan"), []
-    boards_only = tuple(c for c in rig.cameras_before if c.name in rig.observations.boards)
-    seen = _triangulated(boards_only, rig.observations)
-    if len(seen) < 4:
+    boards_only = tuple(c for c in rig.cameras_before if c.name in seen.boards)
+    places = _triangulated(boards_only, seen)
+    if len(places) < 4:
         return float("nan"), []
-    ids = sorted(seen)
-    there, stated = np.stack([seen[i] for i in ids]), rig.observations.markers[ids]
+    ids = sorted(places)
+    there, stated = np.stack([places[i] for i in ids]), seen.markers[ids]
     a, b = there - there.mean(axis=0), stated - stated.mean(axis=0)
     scale = float(np.sqrt(np.sum(a**2) / np.sum(b**2)))
     _, misfit = Rotation.align_vectors(a, scale * b)
@@ -205,11 +203,11 @@ def judgement_lines(rig: RigCalibration, verdict: Verdict) -> list[str]:
 
 def provenance(rig: RigCalibration, verdict: Verdict, capture: str) -> dict[str, Any]:
     """The values of `[provenance]` in `calibration.toml`."""
-    fit = rig.fit or rig.paper
+    fit = rig.fit
     return {
         "capture": capture,
         "method": rig.method,
-        "corner_sd_px": None if rig.fit is None else rig.fit.corner_sd_px,
+        "corner_sd_px": None if fit is None else fit.corner_sd_px,
         "mark_sd_px": None if fit is None else fit.mark_sd_px,
         "marker_tolerance_mm": rig.tolerances.marker_mm,
         "board_tolerance_mm": rig.tolerances.board_mm,

@@ -52,11 +52,13 @@ def charuco_slip(board: Board, grays: Sequence[Bytes]) -> str:
             continue
         tried = replace(board, inner_corners=inner, legacy=legacy, inverted=inverted)
         tried = replace(tried, dictionary=dictionary)
-        if _fits(tried) and any(_is_seen(tried, gray) for gray in grays):
+        columns, rows = tried.squares
+        fits = columns * rows // 2 <= len(aruco_dictionary(dictionary).bytesList)
+        if fits and any(_is_seen(tried, gray) for gray in grays):
             return f"the pictures show another one: write {_difference(board, tried)}"
     return (
         f"{count} markers of {dictionary} are seen, with numbers up to {highest}, but no board of "
-        f"{columns}x{rows} inner corners: count them again"
+        f"{board.inner_corners[0]}x{board.inner_corners[1]} inner corners: count them again"
     )
 
 
@@ -82,11 +84,6 @@ def _families_seen(
         for found, name in zip(ids, families, strict=True)
         if len(found) >= _LEAST_MARKERS
     ]
-
-
-def _fits(board: Charuco) -> bool:
-    columns, rows = board.squares
-    return columns * rows // 2 <= len(aruco_dictionary(board.dictionary).bytesList)
 
 
 def _is_seen(board: Charuco, gray: Bytes) -> bool:
@@ -158,7 +155,11 @@ def find_views(
     mirrored = 0
     missed: list[Bytes] = []
     for name, bgr in pictures:
-        size = _size_as_before(size, bgr, name, camera)
+        here = bgr.shape[1], bgr.shape[0]
+        if (size := size or here) != here:
+            raise CalibrationError(
+                f"camera {camera}: {name} is {here[0]}x{here[1]} px, the others {size[0]}x{size[1]}"
+            )
         gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
         try:
             corners = board.find(gray, name)
@@ -181,18 +182,6 @@ def find_views(
         )
     chosen = choose_views(board, seen, size, camera, left_out, limit)
     return replace(chosen, mirrored=mirrored)
-
-
-def _size_as_before(
-    size_wh: tuple[int, int] | None, bgr: Bytes, name: str, camera: str
-) -> tuple[int, int]:
-    here = (bgr.shape[1], bgr.shape[0])
-    if size_wh is not None and here != size_wh:
-        raise CalibrationError(
-            f"camera {camera}: {name} is {here[0]}x{here[1]} px, the others "
-            f"{size_wh[0]}x{size_wh[1]}"
-        )
-    return here
 
 
 def choose_views(

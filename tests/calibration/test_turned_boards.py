@@ -11,7 +11,7 @@ import pytest
 
 from measure.calibration import Board, Capture, Chessboard, Corners, MarkerField
 from measure.calibration.board_views import LENS_MODELS, fit_lens
-from measure.calibration.capture import CameraCapture, CaptureTable
+from measure.calibration.capture import CaptureCamera, CaptureTable
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.rig_problem import BoardObservation
@@ -89,22 +89,22 @@ def test_a_board_of_known_pose_lies_where_the_marks_agree(corners: tuple[int, in
     pose = RigidTransform(facing.rotation, facing.apply([-80.0, -60.0, 300.0]))
     field = MarkerField(tuple(f"m{i}" for i in range(16)), markers())
     marks = dict(zip(field.names[:4], true.project(field.points[:4]), strict=True))
-    with_marks = CameraCapture("cam0", Path(), None, None, None, pose, None, marks)
-    capture = Capture(Path(), CaptureTable(name="bench"), board, field, ())
+    plain = CaptureCamera(name="cam0", calibration="lens.toml")
+    without = Capture(Path(), CaptureTable(name="bench"), board, field, ())
+    with_marks = replace(without, marks={"cam0": marks})
     origin = true.project(pose.apply(board.points[:1]))[0]
-    without = replace(with_marks, marks={})
-    said = replace(without, board_origin_px=tuple(origin + 20))
+    said = plain.model_copy(update={"board_origin_px": tuple(origin + 20)})
     for turn in board.turns:
         pixels = true.project(pose.apply(board.points))[turn]
         seen = BoardObservation(
             board, Corners(np.arange(len(pixels)), pixels, 0.4, "board.jpg"), pose
         )
-        for camera in (with_marks, said):
+        for camera, capture in ((plain, with_marks), (said, without)):
             lies = oriented_board(camera, true.intrinsics, seen, capture).corners
             assert np.allclose(lies.pixels[np.argmin(lies.ids)], origin)
         place = rf"board_origin_px = .*\[{origin[0]:.0f}, {origin[1]:.0f}\]"
         with pytest.raises(CalibrationError, match=place):
-            oriented_board(without, true.intrinsics, seen, capture)
+            oriented_board(plain, true.intrinsics, seen, without)
 
 
 @pytest.mark.parametrize(("corners", "ways"), [((7, 5), 2), ((6, 6), 4), ((5, 5), 2), ((6, 5), 1)])

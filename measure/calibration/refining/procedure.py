@@ -130,7 +130,13 @@ def judge_refinement(
     surprise, limit = _surprise(refinement)
     if surprise > _REFUSED_SURPRISE_RATIO * limit:
         raise CalibrationError(_contradiction(refinement, surprise))
-    _refuse_worse(halves)
+    held_out, held_out_after = halves.held_out_px
+    if held_out_after > _MAX_HELD_OUT_RATIO * held_out:
+        raise CalibrationError(
+            f"frame sets that played no part in the refinement fit worse after it "
+            f"({held_out_after:.2f} px) than before ({held_out:.2f} px): keep the first "
+            "calibration, or record a longer motion through the whole workspace"
+        )
     camera_sd = (
         _camera_sd(refinement, refinement.prior),
         _camera_sd(refinement, refinement.covariance),
@@ -139,16 +145,6 @@ def judge_refinement(
     notes = [_contradiction(refinement, surprise)] if surprise > limit else []
     notes += _notes(body, refinement, halves, camera_sd, body_sd)
     return RefineVerdict(camera_sd, body_sd, halves.held_out_px, surprise, tuple(notes))
-
-
-def _refuse_worse(halves: Halves) -> None:
-    before, after = halves.held_out_px
-    if after > _MAX_HELD_OUT_RATIO * before:
-        raise CalibrationError(
-            f"frame sets that played no part in the refinement fit worse after it "
-            f"({after:.2f} px) than before ({before:.2f} px): keep the first "
-            "calibration, or record a longer motion through the whole workspace"
-        )
 
 
 def _notes(
@@ -289,7 +285,11 @@ def refine_measured(
     refuse_misfit(refinement, body)
     verdict = judge_refinement(cameras, body, recording, refinement, halves)
     if applied:
-        refinement = replace(refinement, cameras=_with_readout(refinement.cameras, clocks))
+        refined = tuple(
+            replace(c, readout_s=c.readout_s + clock.readout_s) if clock.rolling else c
+            for c, clock in zip(refinement.cameras, clocks, strict=True)
+        )
+        refinement = replace(refinement, cameras=refined)
     return RefinedRig(recording, refinement, clocks, applied, verdict)
 
 
@@ -327,14 +327,6 @@ def _clocks(
     refuse_misfit(free, body)
     trusted = worst_misfit(free, body)[1] < SUSPICIOUS_PX
     return estimate_clocks(measurements[:_CLOCK_FRAME_SETS], body, free.cameras), trusted
-
-
-def _with_readout(cameras: tuple[Camera, ...], clocks: Sequence[CameraClock]) -> tuple[Camera, ...]:
-    """The cameras with the readout times that were seen beyond doubt added to their own."""
-    return tuple(
-        replace(camera, readout_s=camera.readout_s + clock.readout_s) if clock.rolling else camera
-        for camera, clock in zip(cameras, clocks, strict=True)
-    )
 
 
 def _lead(

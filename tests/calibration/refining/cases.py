@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.errors import body_cost
 from measure.arrays import Floats
-from measure.calibration.refining import Recording, Track
+from measure.calibration.refining.recording import Recording, Track
 from measure.geometry import RigidTransform, align_points
 from measure.model import Camera, paper_body
 from tests.calibration.rigs import cameras

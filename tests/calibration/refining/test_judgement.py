@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from measure.calibration import judge_refinement, refine_rig
-from measure.calibration.refining import RefineVerdict
-from measure.calibration.refining.procedure import Halves, compare_halves, refuse_misfit
+from measure.calibration.refining.procedure import (
+    Halves,
+    RefineVerdict,
+    compare_halves,
+    refuse_misfit,
+)
 from measure.errors import CalibrationError
 from tests.calibration.refining.cases import BODY, PRIOR, Case, case
 
