@@ -1,12 +1,6 @@
 """Checks of a whole recording: errors and weaknesses that it shows by itself; no files."""
 
 from measure.checking.coverage import Coverage, coverage_findings, expected_accuracy
-from measure.checking.duplicates import (
-    DuplicateCount,
-    damage_findings,
-    duplicate_findings,
-    stamp_findings,
-)
 from measure.checking.finding import Finding, Level, worst_first
 from measure.checking.moved_cameras import (
     CameraMisfit,
@@ -16,7 +10,14 @@ from measure.checking.moved_cameras import (
     search_sample,
     with_velocities,
 )
-from measure.checking.overexposure import ColorlessCount, OverexposedCount
+from measure.checking.pictures import (
+    ColorlessCount,
+    DuplicateCount,
+    OverexposedCount,
+    damage_findings,
+    duplicate_findings,
+    stamp_findings,
+)
 
 __all__ = [
     "CameraMisfit", "ColorlessCount", "Coverage", "DuplicateCount", "Finding", "Level",

@@ -69,9 +69,7 @@ def camera_errors(
 ) -> tuple[CameraError, ...]:
     """Find the errors of cameras that explain the residuals, the most important first.
 
-    Args:
-        instants: measured, of a recording in which the body moves.
-        cameras: as calibrated; three at least, since of two either may be wrong.
+    The body must move. Of less than three cameras none are found: of two either may be wrong.
     """
     if len(cameras) < 3 or len(instants) < _MIN_INSTANTS:
         return ()
@@ -98,11 +96,6 @@ class _Fit(NamedTuple):
     sd: float
     level: Level
     gain: float
-
-    @property
-    def size(self) -> int:
-        """How many parameters it has."""
-        return len(_parameters(0, self.kind))
 
 
 def _parameters(camera: int, kind: Kind) -> list[int]:
@@ -147,7 +140,7 @@ class _System:
         camera = max(alike, key=lambda fit: fit.gain).camera
         chance = self.scale * chi_square_quantile(_ALIKE_PROBABILITY, 1)
         own = [fit for fit in alike if fit.camera == camera and fit.gain > most - chance]
-        first = min(own, key=lambda fit: (fit.size, -fit.gain))
+        first = min(own, key=lambda fit: (len(_parameters(0, fit.kind)), -fit.gain))
         return first, [fit for fit in alike if fit is not first]
 
     def _significant(self, camera: int, taken: Sequence[int]) -> Iterator[_Fit]:
@@ -221,25 +214,20 @@ def _fill_by_cameras(
 
 def error_findings(errors: Sequence[CameraError]) -> list[Finding]:
     """One line for every camera whose calibration is off; clocks have lines of their own."""
-    return [
-        Finding(error.level, "calibration", _sentence(error))
-        for error in errors
-        if error.kind is not Kind.CLOCK
-    ]
-
-
-def _sentence(error: CameraError) -> str:
-    if error.kind is Kind.TURN:
-        text = (
-            f"{error.camera} points {error.amount:.2f} +- {error.sd:.2f} deg beside where its "
-            "calibration says: was it touched? calibrate it"
-        )
-    else:
+    out = []
+    for error in errors:
         text = (
             f"{error.camera}: its focal length is {100 * error.amount:+.2f} +- "
             f"{100 * error.sd:.2f} % off its calibration: was it focused or zoomed? calibrate it"
         )
-    return text + rivals_text(error)
+        if error.kind is Kind.TURN:
+            text = (
+                f"{error.camera} points {error.amount:.2f} +- {error.sd:.2f} deg beside where its "
+                "calibration says: was it touched? calibrate it"
+            )
+        if error.kind is not Kind.CLOCK:
+            out.append(Finding(error.level, "calibration", text + rivals_text(error)))
+    return out
 
 
 def rivals_text(error: CameraError) -> str:

@@ -41,14 +41,10 @@ class Instant:
 
 
 def linearise(instant: Instant, clocks: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """The observations of an instant as functions of its pose and the clocks.
+    """The observations of an instant near its pose and clocks (c, 2), offsets and readout in s.
 
-    Args:
-        clocks: (c, 2) offsets and readout times in s.
-
-    Returns:
-        Residuals (n, 2), Jacobian by the pose (n, 2, 6), image velocity (n, 2) in px/s, and the
-        balls' centres (n, 3) when their images were taken.
+    Residuals (n, 2), Jacobian by the pose (n, 2, 6), image velocity (n, 2) in px/s, and the balls'
+    centres (n, 3) when their images were taken.
     """
     s = instant.sightings
     lead = s.lead_s + clocks[instant.cameras, 0] + clocks[instant.cameras, 1] * instant.rows
@@ -83,11 +79,7 @@ def relative_to_median(offsets_s: Floats, observable: Bools) -> Floats:
     """The matrix (c, c) that gives offsets (c,) relative to their median.
 
     Only differences are observable. Usually one clock is wrong: relative to the median it has the
-    whole offset and the others have none.
-
-    Args:
-        offsets_s: (c,).
-        observable: (c,) which of them the motion determines; the others stay unchanged.
+    whole offset and the others have none. Those that are not `observable` (c,) stay unchanged.
     """
     matrix, index = np.eye(len(offsets_s)), np.nonzero(observable)[0]
     if len(index):
@@ -109,10 +101,6 @@ class Reduced:
     degrees: int  # of freedom
     pose: Floats  # (6,) step of the pose alone
     adapts: Floats  # (6, p) how that follows the parameters
-
-    def pose_step(self, step: Floats) -> Floats:
-        """The pose's step (6,) for a step of the parameters."""
-        return np.asarray(self.pose - self.adapts @ step.reshape(-1))
 
 
 def eliminate_pose(residuals: Floats, by_pose: Floats, by_others: Floats, noise: Floats) -> Reduced:
@@ -149,8 +137,7 @@ def solve_clocks(
     are compared with a jackknife over blocks of the recording; the larger ones count.
 
     Args:
-        parts: of all instants, linearised about `clocks`.
-        clocks: (c, 2) offsets and readout times.
+        parts: of all instants, linearised about the clocks (c, 2).
         readout: (c,) which cameras' shutters may roll.
         bias: (c, 2) standard deviations from constant errors of the detections.
     """
@@ -268,16 +255,11 @@ def estimate_clocks(
     readout: bool = True,
     extra_px: float = _EXTRA_PX,
 ) -> tuple[CameraClock, ...]:
-    """Estimate every camera's clock offset and readout time.
+    """Estimate the clock offset and readout time of every camera, in order, while a body moves.
 
-    Args:
-        measurements: of one recording in which the body moves, in order of time.
-        readout: whether to estimate rolling-shutter times as well.
-        extra_px: systematic error of a detection, in its weight and in the uncertainty.
-
-    Returns:
-        One clock per camera, in order. A camera that saw too little, or a body that stood still,
-        gives infinite standard deviations.
+    A camera that saw too little, or a body that stood still, gives infinite standard deviations.
+    Without `readout` shutters do not roll; `extra_px` is the systematic error of a detection, in
+    its weight and in the uncertainty.
     """
     seen, poses = _sightings(measurements, body, cameras, extra_px)
     if len(seen) < _MIN_INSTANTS:
@@ -315,7 +297,9 @@ def _estimate(
         step, sd = solve_clocks(parts, clocks, readout, bias)
         clocks = clocks + step
         poses = [
-            replace(pose, world_from_body=pose.world_from_body.perturb(p.pose_step(step)))
+            replace(
+                pose, world_from_body=pose.world_from_body.perturb(p.pose - p.adapts @ step.ravel())
+            )
             for pose, p in zip(poses, parts, strict=True)
         ]
     return clocks, sd

@@ -39,8 +39,7 @@ def coverage_findings(
 ) -> tuple[tuple[Coverage, ...], list[Finding]]:
     """The coverage of every camera and ball, and what is weak about it.
 
-    Args:
-        misfits: cameras known to be off; with some, disagreeing cameras are not reported.
+    With `misfits`, cameras known to be off, disagreeing cameras are not reported.
     """
     with_pose = [s for s in samples if s.world_from_body is not None]
     table = tuple(_seen(with_pose, body, c, k) for c in cameras for k in range(len(body.balls)))
@@ -53,7 +52,11 @@ def coverage_findings(
         text = f"no pose in {lost} of {len(samples)} frame sets looked at, mostly: {common}"
         findings.append(Finding(level, "balls", text))
     disagreeing, lines = _disagreeing_cameras([] if misfits else with_pose)
-    findings += lines + _second_body(samples)
+    flagged = [s.flags[0] for s in samples if s.flags]
+    if len(flagged) > _MAX_CHANCE_SHARE * len(samples):  # a second body may be in view
+        text = f"{flagged[0]} (so in {len(flagged)} of {len(samples)} frame sets looked at)"
+        lines.append(Finding(Level.WRONG, "balls", text))
+    findings += lines
     for row in table:
         if row.camera not in disagreeing and row.seen < _MIN_SEEN_SHARE * row.expected:
             text = (
@@ -86,28 +89,18 @@ def _disagreeing_cameras(samples: Sequence[SearchSample]) -> tuple[set[str], lis
     ]
 
 
-def _second_body(samples: Sequence[SearchSample]) -> list[Finding]:
-    """One line if a second body may be in view in more frame sets than by chance."""
-    flagged = [s.flags[0] for s in samples if s.flags]
-    if len(flagged) <= _MAX_CHANCE_SHARE * len(samples):
-        return []
-    text = f"{flagged[0]} (so in {len(flagged)} of {len(samples)} frame sets looked at)"
-    return [Finding(Level.WRONG, "balls", text)]
-
-
 def expected_accuracy(
     middle: RigidTransform, reach_mm: float, body: Body, cameras: Sequence[Camera], noise_px: float
 ) -> Floats:
-    """Standard deviations to expect of the pose around a place, with every ball in sight.
+    """Standard deviations (27, 5) to expect of the pose around a place, with every ball in sight.
+
+    Columns are x, y, z in mm, and the deviations of the position in mm and of the rotation in deg;
+    NaN where too few cameras see the body.
 
     Args:
         middle: a pose in the middle of the workspace.
         reach_mm: half the side of the cube.
         noise_px: standard deviation of a ball's centre in a picture.
-
-    Returns:
-        (27, 5): x, y, z in mm, standard deviation of the position in mm and of the rotation in
-        deg; NaN where too few cameras see the body.
     """
     rows = []
     for offset in np.stack(np.meshgrid(_GRID, _GRID, _GRID), axis=-1).reshape(-1, 3):

@@ -87,11 +87,9 @@ def _scale(posed: Sequence[Measurement], body: Body) -> tuple[float, float]:
 def motion_findings(
     motion: MotionCheck, misplaced: Collection[str], instead: Collection[CameraMisfit]
 ) -> list[Finding]:
-    """One line for every clock, camera and scale that is off.
+    """One line for every clock and camera that is off, but for cameras known to be `misplaced`.
 
-    Args:
-        misplaced: names of cameras already known to stand elsewhere.
-        instead: cameras that seemed to stand elsewhere until their clocks were set right.
+    Those of `instead` seemed to stand elsewhere until their clocks were set right.
     """
     errors = [error for error in motion.errors if error.camera not in misplaced]
     findings = error_findings(errors)
@@ -103,7 +101,15 @@ def motion_findings(
     }
     # Where a camera stands elsewhere, clocks seem to differ: only what is left then counts.
     clocks = [c for c in motion.clocks if not blamed or c.camera in late.keys() - blamed]
-    return findings + _clock_findings(clocks, late) + _flag_findings(motion)
+    findings += _clock_findings(clocks, late)
+    flagged = sum(count for _, count in motion.flags)
+    if flagged > _MAX_FLAGGED_SHARE * motion.measured:
+        text = (
+            f"{flagged} of {motion.measured} poses measured in a row are flagged, "
+            f"first of all: {motion.flags[0][0]}"
+        )
+        findings.append(Finding(Level.WEAK, "poses", text))
+    return findings
 
 
 def scale_findings(motion: MotionCheck, cameras_agree: bool) -> list[Finding]:
@@ -118,17 +124,6 @@ def scale_findings(motion: MotionCheck, cameras_agree: bool) -> list[Finding]:
     )
     level = Level.WRONG if off > _SCALE_WRONG_SIGMAS else Level.WEAK
     return [body_finding(text, level, cameras_agree)]
-
-
-def _flag_findings(motion: MotionCheck) -> list[Finding]:
-    flagged = sum(count for _, count in motion.flags)
-    if flagged <= _MAX_FLAGGED_SHARE * motion.measured:
-        return []
-    text = (
-        f"{flagged} of {motion.measured} poses measured in a row are flagged, "
-        f"first of all: {motion.flags[0][0]}"
-    )
-    return [Finding(Level.WEAK, "poses", text)]
 
 
 def _clock_findings(clocks: Sequence[CameraClock], rivals: Mapping[str, str]) -> list[Finding]:

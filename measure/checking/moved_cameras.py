@@ -218,7 +218,9 @@ def _difference(
         return None
     mine = PoseObservations.of(own, body, by_name, sample.time_s)
     residuals, by_body, _ = mine.residuals(fit.world_from_body, sample.velocity)
-    if not _consistent(residuals):
+    middle = residuals.mean(axis=0)
+    apart = np.max(np.linalg.norm(residuals - middle, axis=1))
+    if apart >= _MAX_SPREAD_PX + _MAX_SPREAD_RATIO * np.linalg.norm(middle):  # some are hidden
         return None
     _, _, by_pose, _ = camera.project_with_jacobians(fit.world_from_body.apply(mine.points_body))
     # The least rotation: partly hidden balls do not determine one about the line of sight.
@@ -228,13 +230,6 @@ def _difference(
     off = float(np.mean(np.minimum(np.sqrt(fit.distances), _MAX_SIGMAS)))
     shift = np.median(residuals, axis=0)
     return _Difference(sample.time_s, shift, turn, float(np.sqrt(variance)), off)
-
-
-def _consistent(residuals: Floats) -> bool:
-    """Whether the balls' differences (n, 2) agree, as for a moved camera: no hidden ball's."""
-    middle = residuals.mean(axis=0)
-    apart = np.max(np.linalg.norm(residuals - middle, axis=1))
-    return bool(apart < _MAX_SPREAD_PX + _MAX_SPREAD_RATIO * np.linalg.norm(middle))
 
 
 def _step(shifts: Floats, prediction_sd_px: float) -> int | None:

@@ -79,10 +79,8 @@ def synchronise(tracks: Sequence[BallTracks], largest_s: float, step_s: float) -
     """Find what to add to each camera's stamps; those of which it is not certain are left out.
 
     The two cameras that tell most are brought together first, then each time the one that tells
-    most, against all before it. Only differences are observable: the median of the offsets is 0.
-
-    Args:
-        largest_s: of any two clocks, the largest difference.
+    most, against all before it. Only differences are observable, `largest_s` at most: the median of
+    the offsets is 0.
     """
     usable = [track for track in tracks if len(track.times_s) >= _MIN_IMAGES]
     pairs = [(_search(b, {a: 0.0}, largest_s, step_s), a) for a, b in combinations(usable, 2)]

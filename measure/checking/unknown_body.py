@@ -66,8 +66,7 @@ def locate(
 ) -> dict[str, SeenBall]:
     """The balls of one frame set by name, by candidates of whole pictures, by camera.
 
-    Args:
-        least: cameras that must see a ball, where there are as many.
+    At least so many cameras must see a ball, where there are as many.
     """
     out, least = {}, min(least, len(cameras))
     for ball, candidates in zip(body.balls, by_ball(detections, body.balls, cameras), strict=True):
@@ -80,10 +79,12 @@ def locate(
             continue
         radius, sd = np.median(sizes, axis=0).tolist()
         away = np.linalg.norm(points - points[0], axis=1)
+        shown = {c.name: c.project(points[:1])[0] for c in cameras}
         match = sum(
             d.color_match
             for d in candidates.detections
-            if np.isfinite(d.color_match) and _shows(d, points[0], cameras)
+            if np.isfinite(d.color_match)
+            and np.linalg.norm(shown[d.camera] - d.center_px) < d.radius_px / 2
         )
         out[ball.name] = SeenBall(points[0], radius, sd, match, bool(np.all(away < radius)))
     return out
@@ -92,14 +93,13 @@ def locate(
 def find_layout(frames: Sequence[Mapping[str, SeenBall]], body: Body, *, pick: bool) -> Body:
     """The balls that move together, with their layout about their centroid.
 
+    SessionError: fewer than three balls that keep their distances, two of one colour, or balls of
+    another size than stated.
+
     Args:
         frames: balls by name, frame set by frame set.
         body: their colours and radii; its layout is not used.
         pick: whether names are colours that overlap, of which the best is meant; else all balls.
-
-    Raises:
-        SessionError: fewer than three balls that keep their distances, two of one colour, or
-            balls of another size than stated.
     """
     names = _distinct(frames, body) if pick else list(body.names)
     often = max(_FEWEST_FRAMES, _LEAST_SHARE * len(frames))
@@ -109,7 +109,8 @@ def find_layout(frames: Sequence[Mapping[str, SeenBall]], body: Body, *, pick: b
             f"{_listed(seen)} seen by several cameras in {often:.0f} or more of {len(frames)} "
             f"frame sets, but a body needs 3 balls{_SEARCHED if pick else ''}"
         )
-    if twice := [n for n in seen if pick and _has_twin(frames, n)]:
+    alone = {n: np.mean([f[n].alone for f in frames if n in f]) for n in seen}
+    if twice := [n for n in seen if pick and 1 - alone[n] > _TWINS]:
         raise SessionError(
             f"two {twice[0]} balls are seen: take one out of view, or give --like, a body file "
             "with the approximate layout, that tells them apart"
@@ -122,12 +123,6 @@ def find_layout(frames: Sequence[Mapping[str, SeenBall]], body: Body, *, pick: b
         )
     _check_size(frames, group, body)
     return _laid_out(frames, group, body)
-
-
-def _shows(d: Detection, center: Floats, cameras: Sequence[Camera]) -> bool:
-    camera = next(camera for camera in cameras if camera.name == d.camera)
-    off = np.linalg.norm(camera.project(center[None])[0] - d.center_px)
-    return bool(off < d.radius_px / 2)
 
 
 def _distinct(frames: Sequence[Mapping[str, SeenBall]], body: Body) -> list[str]:
@@ -143,10 +138,6 @@ def _distinct(frames: Sequence[Mapping[str, SeenBall]], body: Body) -> list[str]
         if total[name] and all(d > body.radii[0] for d in apart):
             kept.append(name)
     return [n for n in body.names if n in kept]
-
-
-def _has_twin(frames: Sequence[Mapping[str, SeenBall]], name: str) -> bool:
-    return float(np.mean([not f[name].alone for f in frames if name in f])) > _TWINS
 
 
 def _of_one_size(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str]) -> list[str]:
