@@ -15,13 +15,13 @@ from measure.geometry import RigidTransform
 from measure.model import paper_body
 from measure.processes import Progress
 from measure.robots import RobotLog, raven_chain, raven_schema, write_log
-from measure.robots.simulator import Cables, SimulatedRun, Teleoperation, simulate
+from measure.robots.simulator import Cables, SimulatedRun, simulate
 from measure.session import Trajectory
 from measure.simulation import Lighting, Material, Scene, write_session
 from measure.simulation.catalogue import WORKSPACE_MM, lamps, paper_rig, stems
 from measure.simulation.recording import write_truth
 
-_STYLE = Teleoperation(wrist_deg=(25.0, 20.0, 20.0))  # the balls stay in view of most cameras
+_WRIST_DEG = (25.0, 20.0, 20.0)  # the balls stay in view of most cameras
 _LOG_HZ = 500.0
 _HOME = np.array([np.deg2rad(40.0), np.deg2rad(90.0), 350.0, 0.0, 0.0, 0.0])
 
@@ -37,7 +37,7 @@ def render_recording(
     progress: Progress | None = None,
 ) -> None:
     """Write a session folder with the robot's log `robot.parquet`, its clock so far ahead."""
-    run = simulate(seconds, seed, log_hz=_LOG_HZ, cables=cables, style=_STYLE)
+    run = simulate(seconds, seed, log_hz=_LOG_HZ, cables=cables, wrist_deg=_WRIST_DEG)
     times = np.arange(0.1, seconds - 0.1, 1.0 / frame_hz)
     write_session(_scene(run, seed), times, folder, progress=progress)
     write_truth(folder / "truth.csv", run.times_s, run.world_from_tip)

@@ -18,9 +18,8 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.reading import check_ordinary
-from measure.robots.columns import FeatureColumns, find_columns
 from measure.robots.raven import FIELDS, raven_schema
-from measure.robots.schema import StateSchema
+from measure.robots.schema import FeatureColumns, StateSchema, find_columns
 from measure.robots.tables import PIECE_ROWS
 
 _JOINTS = "sensor_msgs/msg/JointState"
@@ -180,11 +179,8 @@ def _from_tree(reader: Any, base: str, tip: str) -> Iterator[tuple[float, Floats
     for connection, received_ns, raw in reader.messages(connections=trees) if trees else ():
         stamps = {}
         for one in reader.deserialize(raw, connection.msgtype).transforms:
-            child, t, r = (
-                one.child_frame_id.lstrip("/"),
-                one.transform.translation,
-                one.transform.rotation,
-            )
+            child = one.child_frame_id.lstrip("/")
+            t, r = one.transform.translation, one.transform.rotation
             parent_from_child = RigidTransform.from_quat_wxyz(
                 [r.w, r.x, r.y, r.z], 1e3 * np.array([t.x, t.y, t.z])
             )
@@ -282,11 +278,8 @@ def _bag_states(
 def _raven_rows(
     path: Path, reader: Any, arm: int, topic: str | None
 ) -> Iterator[tuple[float, Floats]]:
-    found = [
-        c
-        for c in reader.connections
-        if (c.topic == topic if topic else c.msgtype.lower().endswith("raven_state"))
-    ]
+    of_type = (c for c in reader.connections if c.msgtype.lower().endswith("raven_state"))
+    found = [c for c in reader.connections if c.topic == topic] if topic else [*of_type]
     if len(found) != 1:
         raise EstimatorError(
             f"{path}: {len(found)} topics match {topic or 'raven_state'}; it has "

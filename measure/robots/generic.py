@@ -24,8 +24,7 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.reading import parse_toml, read_text, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
-from measure.robots.columns import UNITS_S
-from measure.robots.schema import Feature, LogFormat, OtherNames, Reading, StateSchema
+from measure.robots.schema import UNITS_S, Feature, LogFormat, OtherNames, Reading, StateSchema
 
 _TURNS, _SLIDES, _STILL = ("revolute", "continuous"), "prismatic", "fixed"
 _MOST_BYTES = 8 << 20

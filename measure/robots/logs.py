@@ -11,10 +11,17 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
 from measure.reading import TIME
-from measure.robots.columns import Clock, FeatureColumns, find_columns, lacking
 from measure.robots.generic import BUILTIN, read_schema
 from measure.robots.raven import raven_schema
-from measure.robots.schema import RobotLog, StateSchema, reported_mm
+from measure.robots.schema import (
+    Clock,
+    FeatureColumns,
+    RobotLog,
+    StateSchema,
+    find_columns,
+    lacking,
+    reported_mm,
+)
 
 if TYPE_CHECKING:
     from measure.robots.tables import Columns
@@ -106,10 +113,8 @@ def write_log(path: Path, log: RobotLog) -> None:
     """Write CSV, if the name ends with `.csv`, else Parquet."""
     import pyarrow as pa
 
-    columns = {TIME: log.times_s}
-    for index, name in enumerate(log.schema.names):
-        columns[name] = log.states[:, index].astype(np.float32)
-    table = pa.table(columns)
+    states = zip(log.schema.names, log.states.T.astype(np.float32), strict=True)
+    table = pa.table({TIME: log.times_s, **dict(states)})
     if path.suffix == ".csv":
         from pyarrow import csv
 

@@ -19,8 +19,7 @@ from measure.robots.schema import Feature, Reading, StateSchema
 
 Arm = Literal["left", "right"]
 DRIVES = 7  # shoulder, elbow, insertion, roll, wrist, jaw 1, jaw 2
-VOID = 3  # index of the unused place in every 8-vector of the message
-PLACES = (0, 1, 2, 4, 5, 6, 7)  # places of the seven drives in those 8-vectors
+PLACES = (0, 1, 2, 4, 5, 6, 7)  # places of the seven drives in the 8-vectors of the message
 ARM_TYPE = {"left": 24, "right": 10}  # board serials in defines.h: gold, green
 
 _ALPHA_DEG = {"left": (0, 75, 128, 0, 90, 90), "right": (180, 75, 52, 0, 90, 90)}
@@ -28,18 +27,10 @@ _OFFSET_DEG = {"left": (205, 180, 90, 0, -90, 0), "right": (25, 0, -90, 0, -90, 
 _TOOL_SHAFT_MM = -470.0
 _WRIST_TO_TIP_MM = 13.0
 
-# Joint limits in the robot's software: rad, rad, m -> mm.
-LIMITS = ((0.0, np.pi / 2), (np.pi / 4, 3 * np.pi / 4), (230.0, 560.0))
-
 # Motor turns per joint motion, rad/rad (rad/m for the insertion), from capstan and pulley radii.
 _TOOL_RATIO = (10.905 / 5.005) * (26.0 / 7.0)
-RATIO = np.array(
-    [
-        136.196,
-        121.522,
-        2158.59,
-        *(_TOOL_RATIO * np.array([120 / 180, 200 / 180, 100 / 90, 100 / 90])),
-    ]
+RATIO = np.append(
+    [136.196, 121.522, 2158.59], _TOOL_RATIO * np.array([120 / 180, 200 / 180, 100 / 90, 100 / 90])
 )
 # The elbow's cable runs over the shoulder and the insertion's over both.
 ELBOW_PER_SHOULDER = 0.14545

@@ -18,7 +18,7 @@ from pyarrow import types as kinds
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.reading import check_ordinary
-from measure.robots.columns import lacking
+from measure.robots.schema import lacking
 
 _SNIFFED_BYTES = 1 << 16
 _BINARY = (".parquet", ".bag", ".mcap", ".db3")
@@ -63,12 +63,9 @@ class Table(Columns):
         """Read a file of Parquet or text, whatever its name; EstimatorError if it cannot be."""
         text = kind_of(path) == ".csv"
         with reading(path):
-            content = (
-                csv.read_csv(path, **Dialect.of(path).options())
-                if text
-                else parquet.read_table(path)
-            )
-        return cls(path, content)
+            if text:
+                return cls(path, csv.read_csv(path, **Dialect.of(path).options()))
+            return cls(path, parquet.read_table(path))
 
     def __len__(self) -> int:
         return int(self.content.num_rows)
@@ -101,13 +98,11 @@ class Table(Columns):
         if kinds.is_null(kind):
             return np.full(len(self), np.nan)
         if kinds.is_string(kind) or kinds.is_large_string(kind):
-            row, text = next(
-                ((row, t) for row, t in enumerate(column.to_pylist(), 1) if not is_number(t)),
-                (1, ""),
-            )
+            texts = enumerate(column.to_pylist(), self.first_row + 1)
+            row, text = next((item for item in texts if not is_number(item[1])), (1, ""))
             raise EstimatorError(
-                f"{self.path}: column '{name}' holds text, {text!r} in row "
-                f"{self.first_row + row}, where numbers are needed"
+                f"{self.path}: column '{name}' holds text, {text!r} in row {row}, where numbers "
+                "are needed"
             )
         raise EstimatorError(f"{self.path}: column '{name}' holds {kind}, where numbers are needed")
 
@@ -240,7 +235,12 @@ class TableFile(Columns):
         self, dialect: Dialect, names: Sequence[str], numbers: Sequence[str], labels: Sequence[str]
     ) -> Iterator[pa.RecordBatch]:
         """Types are those of the whole file: its begin may be whole numbers or empty."""
-        types = {name: pa.float64() for name in numbers if self._may_be_number(name)}
+        kind_of_column = {name: self.schema.field(name).type for name in numbers}
+        types = {
+            name: pa.float64()
+            for name, kind in kind_of_column.items()
+            if kinds.is_integer(kind) or kinds.is_floating(kind) or kinds.is_null(kind)
+        }
         with reading(self.path):
             for name in labels:
                 only = dialect.options({"include_columns": [name]})
@@ -252,33 +252,20 @@ class TableFile(Columns):
             with reading(self.path):
                 raise error from None
 
-    def _may_be_number(self, name: str) -> bool:
-        kind = self.schema.field(name).type
-        return kinds.is_integer(kind) or kinds.is_floating(kind) or kinds.is_null(kind)
-
     def _refuse_text(self, dialect: Dialect, names: Sequence[str]) -> None:
         """Name the first cell that is no number."""
         row = 0
         with reading(self.path):
             texts = dict.fromkeys(names, pa.string())
-            for batch in self._text(dialect, names, texts, empty=True):
+            for batch in self._text(dialect, names, texts, strings_can_be_null=True):
                 for name in names:
                     if not all(map(is_number, batch[name].to_pylist())):
                         Table(self.path, pa.Table.from_batches([batch]), row).numbers(name)
                 row += batch.num_rows
 
     def _text(
-        self,
-        dialect: Dialect,
-        names: Sequence[str],
-        types: dict[str, pa.DataType],
-        *,
-        empty: bool = False,
+        self, dialect: Dialect, names: Sequence[str], types: dict[str, pa.DataType], **more: bool
     ) -> Iterator[pa.RecordBatch]:
-        convert = {
-            "include_columns": list(names),
-            "column_types": types,
-            "strings_can_be_null": empty,
-        }
+        convert = {"include_columns": list(names), "column_types": types, **more}
         with csv.open_csv(self.path, **dialect.options(convert, block_size=_BLOCK_BYTES)) as reader:
             yield from reader

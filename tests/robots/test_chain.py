@@ -10,13 +10,16 @@ from hypothesis import strategies as st
 
 from measure.errors import DegenerateGeometryError
 from measure.robots import SerialChain, find_schema, raven_chain
-from measure.robots.raven import LIMITS, drives_from_motors, joints_from_drives, motors_from_drives
+from measure.robots.raven import drives_from_motors, joints_from_drives, motors_from_drives
 
 CHAINS = {
     "left": raven_chain("left"),
     "right": raven_chain("right"),
     "psm": find_schema("dvrk-psm").chain,
 }
+
+# Joint limits in the robot's software: rad, rad, mm.
+LIMITS = ((0.0, np.pi / 2), (np.pi / 4, 3 * np.pi / 4), (230.0, 560.0))
 
 
 def _joints(draw_from: np.random.Generator, count: int) -> np.ndarray:

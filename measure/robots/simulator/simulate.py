@@ -11,49 +11,36 @@ from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.robots import raven
 from measure.robots.raven import DRIVES, Arm, raven_chain
-from measure.robots.simulator import constants as k
-from measure.robots.simulator.constants import Cables
-from measure.robots.simulator.dynamics import integrate
+from measure.robots.simulator import mechanics as k
+from measure.robots.simulator.mechanics import Cables, integrate
 
 PLAN_HZ = 50.0
+_GRAVITY_STEPS = 20  # between which gravity is interpolated
 _CENTRE = np.array([np.deg2rad(40.0), np.deg2rad(90.0), 350.0, 0.0, 0.0, 0.0])
 
 
-@dataclass(frozen=True)
-class Teleoperation:
-    """How the operator moves; assumptions, of the size of a surgical training task."""
-
-    # half the sides of the workspace box, in the arm's base frame.
-    half_box_mm: tuple[float, float, float] = (35.0, 35.0, 30.0)
-    reach_mm: float = 22.0  # SD of one reach, per axis
-    reach_s: tuple[float, float] = (0.7, 2.5)  # shortest and longest duration of a reach
-    pause: float = 0.25  # chance of a pause after a reach
-    pause_s: float = 1.5  # longest pause
-    # largest roll, wrist and jaw-pair angle.
-    wrist_deg: tuple[float, float, float] = (60.0, 40.0, 35.0)
-    tremor_mm: float = 0.03  # SD of the 9 Hz tremor, per axis
+# How the operator moves: assumptions, of the size of a surgical training task.
+_HALF_BOX_MM = np.array([35.0, 35.0, 30.0])  # half the sides of the workspace, in the base frame
+_REACH_MM = 22.0  # SD of one reach, per axis
+_REACH_S = (0.7, 2.5)  # shortest and longest duration of a reach
+_PAUSE, _LONGEST_PAUSE_S = 0.25, 1.5  # chance of a pause after a reach
+WRIST_DEG = (60.0, 40.0, 35.0)  # largest roll, wrist and jaw-pair angle
+_TREMOR_MM, _TREMOR_HZ = 0.03, 9.0  # SD per axis
 
 
-def plan(
-    duration_s: float,
-    rng: np.random.Generator,
-    arm: Arm = "left",
-    style: Teleoperation | None = None,
+def _plan(
+    duration_s: float, rng: np.random.Generator, arm: Arm, wrist_deg: tuple[float, float, float]
 ) -> Floats:
     """Desired drive positions (steps, 7) at 1 kHz, in rad and m."""
-    style = style or Teleoperation()
     times = np.arange(0.0, duration_s + 2.0 / PLAN_HZ, 1.0 / PLAN_HZ)
-    offset = _reaches(times, np.array(style.half_box_mm), style.reach_mm, rng, style)
-    offset += _tremor(times, style.tremor_mm, rng)
-    limits = np.deg2rad(style.wrist_deg)
-    wrist = np.concatenate(
-        [_reaches(times, limits[i : i + 1], 0.4 * limits[i], rng, style) for i in range(3)], axis=1
-    )
-    opening = np.deg2rad(20.0) + _reaches(times, np.deg2rad([20.0]), np.deg2rad(15.0), rng, style)
-    chain = raven_chain(arm)
-    start = np.tile(_centre(arm), (len(times), 1))
-    start[:, 3:] = wrist
-    home = chain.tip_mm(_centre(arm))
+    offset = _reaches(times, _HALF_BOX_MM, _REACH_MM, rng) + _tremor(times, rng)
+    limits = np.deg2rad(wrist_deg)
+    wrist = [_reaches(times, limits[i : i + 1], 0.4 * limits[i], rng) for i in range(3)]
+    opening = np.deg2rad(20.0) + _reaches(times, np.deg2rad([20.0]), np.deg2rad(15.0), rng)
+    chain, centre = raven_chain(arm), _CENTRE if arm == "left" else _CENTRE * [1, 1, 1, -1, 1, 1]
+    start = np.tile(centre, (len(times), 1))
+    start[:, 3:] = np.concatenate(wrist, axis=1)
+    home = chain.tip_mm(centre)
     q = chain.solve_tip(home + offset, start, (0, 1, 2), tolerance_mm=1e-4)
     drives = np.empty((len(times), DRIVES))
     drives[:, :2], drives[:, 2], drives[:, 3:5] = q[:, :2], 1e-3 * q[:, 2], q[:, 3:5]
@@ -63,21 +50,11 @@ def plan(
     return np.ascontiguousarray(CubicSpline(times, drives)(fine))
 
 
-def _centre(arm: Arm) -> Floats:
-    return _CENTRE if arm == "left" else _CENTRE * np.array([1, 1, 1, -1, 1, 1])
-
-
-def _reaches(
-    times: Floats,
-    half: Floats,
-    size: Floats | float,
-    rng: np.random.Generator,
-    style: Teleoperation,
-) -> Floats:
+def _reaches(times: Floats, half: Floats, size: float, rng: np.random.Generator) -> Floats:
     """Minimum-jerk reaches between random points of a box, with pauses: (times, axes)."""
-    count = int(times[-1] / style.reach_s[0]) + 4
-    moves = rng.uniform(*style.reach_s, count)
-    rests = np.where(rng.random(count) < style.pause, rng.uniform(0.1, style.pause_s, count), 0.0)
+    count = int(times[-1] / _REACH_S[0]) + 4
+    moves = rng.uniform(*_REACH_S, count)
+    rests = np.where(rng.random(count) < _PAUSE, rng.uniform(0.1, _LONGEST_PAUSE_S, count), 0.0)
     starts = np.concatenate([[0.0], np.cumsum(moves + rests)[:-1]])
     points = np.zeros((count + 1, len(half)))
     for index in range(count):
@@ -89,10 +66,11 @@ def _reaches(
     return points[which] + blend * (points[which + 1] - points[which])
 
 
-def _tremor(times: Floats, size_mm: float, rng: np.random.Generator) -> Floats:
+def _tremor(times: Floats, rng: np.random.Generator) -> Floats:
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
     swell = 1.0 + 0.5 * np.sin(2.0 * np.pi * 0.3 * times)[:, None]
-    return np.sqrt(2.0) * size_mm * swell * np.sin(2.0 * np.pi * 9.0 * times[:, None] + phase)
+    turn = 2.0 * np.pi * _TREMOR_HZ * times[:, None] + phase
+    return np.sqrt(2.0) * _TREMOR_MM * swell * np.sin(turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +90,7 @@ def simulate(
     log_hz: float = 1000.0,
     arm: Arm = "left",
     cables: Cables | None = None,
-    style: Teleoperation | None = None,
+    wrist_deg: tuple[float, float, float] = WRIST_DEG,
 ) -> SimulatedRun:
     """Switch the robot on, home it, and teleoperate it.
 
@@ -120,10 +98,11 @@ def simulate(
         seed: of the motion and of this restart's errors of homing and registration.
         log_hz: states kept per second; the controller itself always runs at 1 kHz.
         cables: the mechanics; the default robot if absent.
+        wrist_deg: largest roll, wrist and jaw-pair angle.
     """
     cables = cables or Cables()
     rng = np.random.default_rng(seed)
-    desired = plan(duration_s, rng, arm, style)
+    desired = _plan(duration_s, rng, arm, wrist_deg)
     every = max(1, round(1000.0 / log_hz))
     logged = integrate(desired, _gravity(desired, arm), cables, every)
     zero = np.array(cables.homing) + rng.normal(0.0, cables.restart_sd)
@@ -141,11 +120,11 @@ def simulate(
     )
 
 
-def _gravity(drives: Floats, arm: Arm, every: int = 20) -> Floats:
+def _gravity(drives: Floats, arm: Arm) -> Floats:
     """Generalised gravity (steps, 7) at the desired pose: it differs little from the true one."""
     chain = raven.raven_chain(arm)
     centres = np.array(k.LINK_CENTRE_LEFT_MM if arm == "left" else k.LINK_CENTRE_RIGHT_MM)
-    coarse = np.append(np.arange(0, len(drives), every), len(drives) - 1)
+    coarse = np.append(np.arange(0, len(drives), _GRAVITY_STEPS), len(drives) - 1)
     q = raven.joints_from_drives(drives[coarse])
     frames = chain.frames(q)
     torque = np.zeros((len(coarse), raven.DRIVES))
