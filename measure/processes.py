@@ -65,14 +65,10 @@ _CONNECT_S = 10.0
 
 @contextmanager
 def connected(address: str, option: str) -> Iterator[tuple[Any, Any]]:
-    """A client of a scheduler, and the module `distributed`.
+    """A client of the scheduler at an address, and the module `distributed`.
 
-    Args:
-        address: of the scheduler.
-        option: of the command line that gave it, for messages.
-
-    Raises:
-        ConfigError: the extra is missing, no scheduler answers, or it has no workers.
+    ConfigError: the extra is missing, no scheduler answers, or it has no workers; the message names
+    the option of the command line that gave the address.
     """
     try:
         import distributed

@@ -283,7 +283,9 @@ def _fit(poses: PoseTable) -> tuple[Floats, Floats, Floats]:
     for _ in range(_STEPS):
         A, H, inverse = _linearised(adjusted, x[:3], poses.covariances)
         w = adjusted.apply(x[:3]) - x[3:] + np.einsum("nij,nj->ni", H, v)
-        weights = _tukey_weights(np.einsum("ni,nij,nj->n", w, inverse, w))
+        squares = np.einsum("ni,nij,nj->n", w, inverse, w)
+        most = max(np.median(squares) / chi_square_quantile(0.5, 3) * _TUKEY**2, 1e-300)
+        weights = np.maximum(1 - squares / most, 0.0) ** 2
         weighted = np.swapaxes(A, 1, 2) @ (weights[:, None, None] * inverse)
         step = -np.linalg.solve((weighted @ A).sum(axis=0), np.einsum("nij,nj->i", weighted, w))
         x = x + step
@@ -304,11 +306,6 @@ def _linearised(
     unit = np.broadcast_to(np.eye(3), R.shape)
     A, H = np.concatenate([R, -unit], axis=2), np.concatenate([unit, -skew(R @ tip)], axis=2)
     return A, H, np.asarray(np.linalg.inv(propagate(H, covariances)), dtype=np.float64)
-
-
-def _tukey_weights(squares: Floats) -> Floats:
-    scale = np.median(squares) / chi_square_quantile(0.5, 3)
-    return np.asarray(np.maximum(1 - squares / max(scale * _TUKEY**2, 1e-300), 0.0) ** 2)
 
 
 def _tip_covariance(

@@ -88,10 +88,8 @@ def noise_of(times_s: Floats, deviations: Floats, groups: Ints, about: str) -> N
     slope, sd = _drift(times_s, x, groups)
     hz, density = _spectrum(max(runs, key=len), step)
     seconds = float(times_s[-1] - times_s[0])
-    drift = seconds * slope, seconds * sd
-    return Noise(
-        about, len(x), seconds, allan[0], *drift, step * lengths.astype(float), allan, hz, density
-    )
+    drift, averaging_s = (seconds * slope, seconds * sd), step * lengths.astype(float)
+    return Noise(about, len(x), seconds, allan[0], *drift, averaging_s, allan, hz, density)
 
 
 def _allan(runs: list[Floats]) -> tuple[Ints, Floats]:

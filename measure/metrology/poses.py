@@ -69,21 +69,20 @@ class SharedErrors:
         own = tolerance_covariance(self.body, RigidTransform.identity(), self.body.names)
         by_body = turned @ _root(own)
         roots = [_root(c.covariance) for c in self.cameras if c.covariance is not None]
-        by_cameras = [
-            [J @ F for J, F in zip(self._by_cameras(places[k]), roots, strict=True)]
-            for k in range(len(poses) if roots else 0)
-        ]
-        parts = [np.concatenate(row, axis=1) for row in by_cameras]
+        parts = []
+        for k in range(len(poses) if roots else 0):
+            moved = zip(
+                self.cameras, pose_by_cameras(self.cameras, self.body, places[k]), strict=True
+            )
+            by_cameras = [by for camera, by in moved if camera.covariance is not None]
+            moves = [J @ F for J, F in zip(by_cameras, roots, strict=True)]
+            parts.append(np.concatenate(moves, axis=1))
         whole = np.concatenate([np.array(parts), by_body], axis=2) if parts else by_body
         scale = np.sqrt(np.maximum(np.einsum("nii->ni", poses.covariances), _TINY))
         stated = poses.covariances / (scale[:, :, None] * scale[:, None]) + 1e-9 * np.eye(6)
         white = np.linalg.solve(np.linalg.cholesky(stated), whole / scale[:, :, None])
         excess = np.median(np.linalg.norm(white, ord=2, axis=(1, 2))) if len(poses) else 0.0
         return whole if excess < _FOREIGN else np.zeros_like(whole)
-
-    def _by_cameras(self, pose: RigidTransform) -> list[Floats]:
-        moved = zip(self.cameras, pose_by_cameras(self.cameras, self.body, pose), strict=True)
-        return [by for camera, by in moved if camera.covariance is not None]
 
     def alike(self, poses: RigidTransform, others: RigidTransform | None = None) -> Floats:
         """Correlation (n, m) of the errors by light of poses with others: with themselves if None.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from measure.host import Detector, SelfCalibratingDetector
 from measure.model import Body, Camera, Detection, Expectation, Image
-from measure.testing.rules import PluginConformance, assert_covariance, assert_same, frozen_copy
+from measure.testing.rules import PluginConformance, assert_covariance, assert_same
 from measure.testing.scenes import CLEAR_VIEW, Example, example
 
 
@@ -142,7 +143,7 @@ class DetectorConformance(PluginConformance):
     def test_it_changes_nothing_it_is_given(self) -> None:
         """Other cameras' threads and the viewer use the same pixels."""
         image, expected = self.picture(), self.expectations()
-        pixels, before = image.pixels.copy(), frozen_copy(expected)
+        pixels, before = image.pixels.copy(), deepcopy(expected)
         self.build().detect(image, expected)
         self.build().detect(image, [])
         assert np.array_equal(image.pixels, pixels), "the picture was changed"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from typing import ClassVar
 
@@ -10,7 +11,7 @@ import numpy as np
 from measure.geometry import squared_mahalanobis
 from measure.host import PoseSolver
 from measure.model import BallPosition, Body, Detection, Motion, Pose
-from measure.testing.rules import PluginConformance, assert_covariance, assert_same, frozen_copy
+from measure.testing.rules import PluginConformance, assert_covariance, assert_same
 from measure.testing.scenes import example
 
 
@@ -92,7 +93,7 @@ class PoseSolverConformance(PluginConformance):
     def test_it_keeps_no_state_and_changes_nothing(self) -> None:
         """The same input gives the same answer, bit by bit, and is untouched."""
         scene, given = example(), self.seen()
-        solver, before = self.build(), frozen_copy(given)
+        solver, before = self.build(), deepcopy(given)
         first = solver.solve(*given, scene.cameras, scene.time_s, None)
         solver.solve(*self.seen(5), scene.cameras, scene.time_s, None)
         again = solver.solve(*given, scene.cameras, scene.time_s, None)

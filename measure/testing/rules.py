@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import inspect
 from collections.abc import Mapping
@@ -60,16 +59,10 @@ class PluginConformance:
         assert self.plugin.Config.model_config.get("frozen"), "Config is not frozen"
 
 
-def frozen_copy(value: Any) -> Any:
-    """A deep copy of what a plugin is given, to compare with afterwards."""
-    return copy.deepcopy(value)
-
-
 def assert_same(actual: Any, expected: Any, what: str) -> None:
     """Compare results field by field, arrays bit by bit (NaN equals NaN).
 
-    Raises:
-        AssertionError: they differ; the message says where.
+    AssertionError: they differ; the message says where.
     """
     assert type(actual) is type(expected), f"{what}: {type(actual)} instead of {type(expected)}"
     if isinstance(expected, np.ndarray):
@@ -98,11 +91,7 @@ def assert_same(actual: Any, expected: Any, what: str) -> None:
 
 
 def assert_covariance(covariance: Floats, size: int, what: str) -> None:
-    """A covariance is finite, symmetric and positive definite.
-
-    Raises:
-        AssertionError: it is not.
-    """
+    """A covariance is finite, symmetric and positive definite; AssertionError: it is not."""
     assert isinstance(covariance, np.ndarray), f"{what}: covariance is {type(covariance)}"
     assert covariance.shape == (size, size), f"{what}: covariance of shape {covariance.shape}"
     assert np.all(np.isfinite(covariance)), f"{what}: covariance is not finite: {covariance}"

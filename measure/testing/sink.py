@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from copy import deepcopy
 from typing import ClassVar
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from measure.errors import ConfigError
 from measure.host import EventMark, SentPose, SentRun, Sink
 from measure.model import Pose
-from measure.testing.rules import PluginConformance, assert_same, frozen_copy
+from measure.testing.rules import PluginConformance, assert_same
 from measure.testing.scenes import example
 
 
@@ -56,7 +57,7 @@ class SinkConformance(PluginConformance):
     def test_it_sends_at_once_though_nobody_listens(self) -> None:
         """Poses, marks, pictures; opened twice, closed twice, and nothing it is given changed."""
         sink, poses, took = self.build(), self.poses(), []
-        before = frozen_copy(poses)
+        before = deepcopy(poses)
         for _ in range(2):
             sink.close()
             sink.open()
