@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from benchmarks.baselines import BASELINES, MaskDetector
 from measure.api import build_pipeline, load_profile
 from measure.api.profiles import find_tracker
-from measure.host import Registry
+from measure.host import PoseSolver, Registry, Triangulator
 from measure.host.settings import Settings
 from measure.measuring import Pipeline, Stages
 from measure.session import Session
@@ -50,8 +50,8 @@ def _baseline_pipeline(
     stages = Stages(
         detectors={c.name: detector(Settings(), body, c) for c in cameras},
         tracker=find_tracker("memoryless")(Settings(), body, cameras),
-        triangulator=registry.triangulator("dlt", {}),
-        solver=registry.solver("kabsch", {}, body),
+        triangulator=registry.build(Triangulator, "dlt", {}),
+        solver=registry.build(PoseSolver, "kabsch", {}, body=body),
         per_image_timestamps=False,
         smoothing=False,
         remeasure_after_search=False,

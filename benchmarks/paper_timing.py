@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.command import run_command
 from benchmarks.trial import reference_s
 from measure.api import load_profile
-from measure.host import Detector, Registry
+from measure.host import Detector, PoseSolver, Registry, Triangulator
 from measure.measuring import Stages
 from measure.measuring.tracking import FrameUpdate
 from measure.measuring.tracking.paper import FrameUpdateSettings
@@ -53,11 +53,13 @@ def _time(session: Session, circles: int) -> tuple[float, ...]:
     """Reference operation, acquisition, windows and the rest, in s; medians over frame sets."""
     profile, registry = load_profile("paper"), Registry.discover()
     detectors = {
-        camera.name: registry.detector("hough", {"circles": circles}, session.body, camera)
+        camera.name: registry.build(
+            Detector, "hough", {"circles": circles}, body=session.body, camera=camera
+        )
         for camera in session.cameras
     }
-    triangulator = registry.triangulator(profile.triangulator, {})
-    solver = registry.solver(profile.solver, {}, session.body)
+    triangulator = registry.build(Triangulator, profile.triangulator, {})
+    solver = registry.build(PoseSolver, profile.solver, {}, body=session.body)
     tracker = FrameUpdate(FrameUpdateSettings(), session.body, session.cameras)
     references, searches, windows, rests = [], [], [], []
     for frame_set in session.frame_sets():

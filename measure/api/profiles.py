@@ -12,7 +12,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from measure.errors import ConfigError
-from measure.host import Detector, Registry
+from measure.host import Detector, PoseSolver, Registry, Triangulator
 from measure.host.settings import read_settings
 from measure.measuring import Pipeline, Profile, Stages
 from measure.measuring.profile import Stage
@@ -100,7 +100,10 @@ def build_detectors(
 ) -> dict[str, Detector]:
     """The detector of a profile for each camera, by name; raises as `build_pipeline` does."""
     settings = profile.settings.get("detector", {})
-    return {c.name: registry.detector(profile.detector, settings, body, c) for c in cameras}
+    return {
+        c.name: registry.build(Detector, profile.detector, settings, body=body, camera=c)
+        for c in cameras
+    }
 
 
 def build_pipeline(
@@ -117,7 +120,7 @@ def build_pipeline(
         tracker.Config, settings.get("tracking", {}), f"tracking '{profile.tracking}'"
     )
     detectors = build_detectors(profile, registry, body, cameras)
-    solver = registry.solver(profile.solver, settings.get("solver", {}), body)
+    solver = registry.build(PoseSolver, profile.solver, settings.get("solver", {}), body=body)
     if solver.requires_outlines and any(d.provides_outlines is False for d in detectors.values()):
         others = " or ".join(name for name in registry.names("solver") if name != profile.solver)
         raise ConfigError(
@@ -127,7 +130,9 @@ def build_pipeline(
     stages = Stages(
         detectors=detectors,
         tracker=tracker(tracking, body, cameras),
-        triangulator=registry.triangulator(profile.triangulator, settings.get("triangulator", {})),
+        triangulator=registry.build(
+            Triangulator, profile.triangulator, settings.get("triangulator", {})
+        ),
         solver=solver,
         per_image_timestamps=profile.per_image_timestamps,
         smoothing=profile.smoothing,

@@ -67,7 +67,8 @@ def _build(text: str, settings: Mapping[str, Any], registry: Registry, run: Sent
     ):
         raise ConfigError(f"--send {text}: no sink is called so; {forms}")
     try:
-        return registry.sink(scheme, {**settings, **dict(parse_qsl(query))}, address, run)
+        given = {**settings, **dict(parse_qsl(query))}
+        return registry.build(Sink, scheme, given, address=address, run=run)
     except ConfigError as problem:
         raise ConfigError(f"--send {text}: {problem}; {forms}") from None
 

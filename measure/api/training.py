@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from measure.api.outputs import check_file, output
 from measure.api.profiles import parse_value
 from measure.errors import ConfigError, EstimatorError
-from measure.host import OnnxModel, Registry, Report
+from measure.host import Estimator, OnnxModel, Registry, Report
 
 if TYPE_CHECKING:
     from measure.learning import Importance, Split, SweepState, Trained
@@ -71,7 +71,7 @@ def train(
         if options.folds < 0 or options.folds == 1:
             raise ConfigError(f"--folds {options.folds}: expected 2 groups or more, or 0 for none")
         trained = learning.train(
-            registry.estimator(options.estimator, dict(settings or {})),
+            registry.build(Estimator, options.estimator, dict(settings or {})),
             _split(data, options),
             file,
             seed=options.seed,
@@ -206,7 +206,7 @@ def ablate(
     refit = None
     if remove:
         name, settings = str(model.facts["estimator"]), dict(model.facts["settings"])
-        refit = lambda: registry.estimator(name, settings)  # noqa: E731
+        refit = lambda: registry.build(Estimator, name, settings)  # noqa: E731
     return learning.ablate(model, split, groups, refit=refit, seed=split_seed or 0, report=report)
 
 

@@ -87,12 +87,8 @@ class Dataset:
     def recording_groups(self, most: int, least: int) -> list[list[str]]:
         """Trajectories of recordings to leave out in turn, in groups of about as many labels.
 
-        Args:
-            most: groups.
-            least: labels of a recording that is left out; the others never are.
-
-        Returns:
-            Names of trajectories; no groups where there are not two such recordings.
+        At most so many groups, of recordings with at least so many labels; the others are never
+        left out. No groups where there are not two such recordings.
         """
         counts = {name: int(self.usable[rows].sum()) for name, rows in self.runs()}
         sizes = {r: sum(counts[n] for n in names) for r, names in self.recordings().items()}
@@ -110,11 +106,7 @@ class Dataset:
         return replace(self, **{name: getattr(self, name)[keep] for name in _BY_ROW})
 
     def select(self, names: Sequence[str]) -> Dataset:
-        """The data set of some trajectories only.
-
-        Raises:
-            EstimatorError: a name is unknown.
-        """
+        """The data set of some trajectories only; EstimatorError: a name is unknown."""
         if unknown := sorted(set(names) - set(self.names)):
             raise EstimatorError(f"no trajectory {', '.join(unknown)}; there is {self.names}")
         wanted = [index for index, name in enumerate(self.names) if name in set(names)]

@@ -72,14 +72,13 @@ class Estimator(Plugin):
     def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Learn from `data`; choose and stop, and judge the covariance, by `validation`.
 
+        EstimatorError: the data cannot be learnt from.
+
         Args:
             data: trajectories to learn from.
             validation: other trajectories of the same robot.
             seed: of everything random.
             report: to be called as the work goes on.
-
-        Raises:
-            EstimatorError: the data cannot be learnt from.
         """
 
     @abstractmethod

@@ -101,11 +101,7 @@ class SelfCalibratingDetector(Detector):
 
 
 class Triangulator(Plugin):
-    """Turns detections of one ball in several cameras into its centre in the world.
-
-    Attributes:
-        config: its settings.
-    """
+    """Turns detections of one ball in several cameras into its centre in the world."""
 
     def __init__(self, config: Settings) -> None:
         self.config = config

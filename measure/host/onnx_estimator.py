@@ -78,9 +78,8 @@ class OnnxEstimator(Estimator):
     def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Learn from all, then with groups of recordings left out, and fit the covariance.
 
-        Raises:
-            EstimatorError: the data cannot be learnt from.
-            DivergedError: corrections are not finite, or of kilometres.
+        EstimatorError: the data cannot be learnt from. DivergedError: corrections are not finite,
+        or of kilometres.
         """
         _check_data(data, validation)
         groups = data.recording_groups(self.folds, _MIN_LABELS)
@@ -135,11 +134,7 @@ class OnnxEstimator(Estimator):
 
     @property
     def model(self) -> OnnxModel:
-        """The fitted graph, ready to run.
-
-        Raises:
-            EstimatorError: nothing has been learnt yet.
-        """
+        """The fitted graph, ready to run; EstimatorError: nothing has been learnt yet."""
         if self._model is None:
             raise EstimatorError(f"estimator '{self.name}' has not been fitted: call fit first")
         return self._model

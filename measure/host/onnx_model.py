@@ -1,11 +1,11 @@
 """Running a saved estimator: one ONNX file that holds normalisation, features, nets and state.
 
-What goes in and comes out is said by `onnx_facts.contract`. Metadata, as JSON: `measure` and
+What goes in and comes out is said by `contract`. Metadata, as JSON: `measure` and
 `card`; last a checksum, as `measure.host.seal` appends it. `measure` holds:
 
 - `format`: 1; `estimator`: its name; `settings`: as they were;
 - `robot`: its name; `features`: [name, unit] of each, in order;
-- `schema`: `StateSchema.to_dict`, with the joints and how logs name them; older files have none;
+- `schema`: `StateSchema.to_dict`, with the joints and how logs name them;
 - `position_mm`: a matrix (F, 3): a state times it is the reported position;
 - `period_s`: of the states learnt from; `memory`: S, at least 1; `memoryless`: whether the memory
   may be left at zeros;
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import copy
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -51,9 +52,11 @@ def contract(features: int, memory: int, period_s: float) -> str:
     )
 
 
-class _Facts(BaseModel):
+class _Metadata(BaseModel):
     model_config = ConfigDict(strict=True, extra="allow")
 
+
+class _Facts(_Metadata):
     estimator: str
     settings: dict[str, Any]
     robot: str
@@ -74,67 +77,40 @@ class _Facts(BaseModel):
         return self
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(strict=True, extra="allow")
-
+class _Part(_Metadata):
     rows: int
     trajectories: list[str]
 
 
-class _Card(BaseModel):
-    model_config = ConfigDict(strict=True, extra="allow")
-
+class _Card(_Metadata):
     data: dict[str, _Part] = {}
 
 
-def read_facts(text: str, where: str) -> dict[str, Any]:
-    """The values of the metadata `measure` (see `measure.host.onnx_model`).
+_MODELS: dict[str, type[_Metadata]] = {"measure": _Facts, "card": _Card}
 
-    Args:
-        text: JSON.
-        where: the file, for messages.
 
-    Raises:
-        EstimatorError: of another format, or a value is missing or of another type.
+def read_metadata(key: str, text: str, where: str) -> dict[str, Any]:
+    """The values of the metadata `measure` or `card` of a file, by their JSON.
+
+    EstimatorError: of another format, or a value is missing or of another type.
     """
-    place = f"{where}: its metadata `measure`"
-    facts = _table(text, place)
-    if facts.get("format") != FORMAT:
-        raise EstimatorError(
-            f"{where}: of format {facts.get('format')!r:.20}, this version reads {FORMAT}: "
-            "train it again"
-        )
-    _check(text, place, _Facts)
-    return facts
-
-
-def read_card(text: str, where: str) -> dict[str, Any]:
-    """The values of the metadata `card`.
-
-    Raises:
-        EstimatorError: a value that is read back is of another type.
-    """
-    place = f"{where}: its metadata `card`"
-    card = _table(text, place)
-    _check(text, place, _Card)
-    return card
-
-
-def _table(text: str, place: str) -> dict[str, Any]:
+    place = f"{where}: its metadata `{key}`"
     try:
         values = json.loads(text)
     except (ValueError, RecursionError):
         raise EstimatorError(f"{place} is no JSON that can be read: train it again") from None
     if not isinstance(values, dict):
         raise EstimatorError(f"{place} is no table: train it again")
-    return values
-
-
-def _check(text: str, place: str, model: type[BaseModel]) -> None:
+    if key == "measure" and values.get("format") != FORMAT:
+        raise EstimatorError(
+            f"{where}: of format {values.get('format')!r:.20}, this version reads {FORMAT}: "
+            "train it again"
+        )
     try:
-        model.model_validate_json(text)
+        _MODELS[key].model_validate_json(text)
     except ValidationError as error:
-        raise EstimatorError(f"{place}: {explain_validation(error, model)}") from None
+        raise EstimatorError(f"{place}: {explain_validation(error, _MODELS[key])}") from None
+    return values
 
 
 _MAX_BYTES = 256 << 20
@@ -149,6 +125,15 @@ class Estimates:
     errors_mm: Floats  # (n, 3) measured minus reported position
     covariances: Floats  # (n, 3, 3) of the errors, in mm^2
     strangeness: Floats  # (n,) above 1 where the state is unlike the training data
+
+
+def _schema(facts: dict[str, Any], where: str) -> StateSchema:
+    """What the features of a model mean, with the joints and how logs name them."""
+    with suppress(KeyError, TypeError, ValueError, AttributeError):
+        schema = StateSchema.from_dict(facts["schema"])
+        if schema.names == tuple(name for name, _ in facts["features"]):
+            return schema
+    raise EstimatorError(f"{where}: its metadata hold no schema that can be read: train it again")
 
 
 class OnnxModel:
@@ -176,12 +161,12 @@ class OnnxModel:
             raise EstimatorError(
                 f"{where}: damaged, its checksum does not match: copy it again, or train it again"
             )
-        self.facts: dict[str, Any] = read_facts(texts["measure"], where)
-        self.card: dict[str, Any] = read_card(texts.get("card", "{}"), where)
+        self.facts = read_metadata("measure", texts["measure"], where)
+        self.card = read_metadata("card", texts.get("card", "{}"), where)
         self._check_tensors(where)
         self.where = where
-        self.features = tuple(name for name, _ in self.facts["features"])
-        self.robot: str = self.facts["robot"]
+        self.schema = _schema(self.facts, where)
+        self.features, self.robot = self.schema.names, self.schema.robot
         self.period_s = float(self.facts["period_s"])
         self.memory_size = int(self.facts["memory"])
         self.reset()
@@ -205,19 +190,11 @@ class OnnxModel:
 
     @classmethod
     def load(cls, path: Path) -> OnnxModel:
-        """Read a file.
-
-        Raises:
-            EstimatorError: missing, corrupted, or not one of ours.
-        """
+        """Read a file; EstimatorError: missing, corrupted, or not one of ours."""
         return cls(read_bytes(path, EstimatorError, _MAX_BYTES), str(path))
 
     def check(self, schema: StateSchema) -> None:
-        """Refuse another robot's states.
-
-        Raises:
-            EstimatorError: the robot or the features differ.
-        """
+        """Refuse another robot's states; EstimatorError: the robot or the features differ."""
         if schema.robot != self.robot:
             raise EstimatorError(
                 f"{self.where}: trained for robot '{self.robot}', not '{schema.robot}': "
@@ -246,9 +223,7 @@ class OnnxModel:
         """The next state of the running trajectory.
 
         A model whose memory has a clock (`period_s`) advances it no more often than in training.
-
-        Raises:
-            EstimatorError: the state has another number of features.
+        EstimatorError: the state has another number of features.
         """
         due = bool(not time_s - self._ticked_s < 0.75 * self.period_s)  # a NaN stamp is due
         if due:

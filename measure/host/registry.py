@@ -12,17 +12,16 @@ from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import pluggy
 
 from measure.errors import MeasureError, PluginError
 from measure.host import hooks
-from measure.host.estimator import Estimator
-from measure.host.interfaces import NAME, Detector, Plugin, PoseSolver, Triangulator
+from measure.host.interfaces import NAME, Plugin
 from measure.host.settings import Settings, read_settings
-from measure.host.sink import SentRun, Sink
-from measure.model import Body, Camera
+
+P = TypeVar("P", bound=Plugin)
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,11 @@ class Broken:
 def discover(disabled: Collection[str] = ()) -> list[Loaded | Broken]:
     """Load every entry point of the group "measure".
 
+    PluginError: a name in `disabled` is nobody's (with near names).
+
     Args:
         disabled: what to leave out: names of entry points or distributions, which are then not even
             imported, or of single plugins. Case, "-", "_" and "." make no difference.
-
-    Raises:
-        PluginError: a name in `disabled` is nobody's (with near names).
     """
     left_out = {_canonical(name): name for name in disabled}
     known: set[str] = set()
@@ -207,9 +205,8 @@ class Registry:
     def find(self, kind: str, name: str) -> Loaded:
         """The one plugin of this kind and name.
 
-        Raises:
-            PluginError: unknown (with near names), broken (with the reason), or two distributions
-                claim it.
+        PluginError: unknown (with near names), broken (with the reason), or two distributions claim
+        it.
         """
         matches = [item for item in self.loaded if item.kind == kind and item.name == name]
         if len(matches) > 1:
@@ -230,8 +227,7 @@ class Registry:
     def named(self, name: str) -> list[Loaded | Broken]:
         """Every plugin of this name, whatever its kind, and broken entry points called so.
 
-        Raises:
-            PluginError: there is none (with near names).
+        PluginError: there is none (with near names).
         """
         everything: list[Loaded | Broken] = [*self.loaded, *self.broken]
         if found := [item for item in everything if item.name == name]:
@@ -246,40 +242,22 @@ class Registry:
             groups.setdefault((item.kind, item.name), []).append(item)
         return [tuple(group) for group in groups.values() if len(group) > 1]
 
-    def detector(
-        self, name: str, settings: Mapping[str, Any], body: Body, camera: Camera
-    ) -> Detector:
-        """Build a detector for one camera.
+    def build(
+        self, interface: type[P], name: str, settings: Mapping[str, Any], **context: Any
+    ) -> P:
+        """Build the plugin of that name and of the kind whose interface is given (`Detector`, ...).
 
-        Raises:
-            PluginError: as `find`; or the plugin cannot be built, or refuses the body.
-            ConfigError: the settings do not fit.
+        `context` is what its class takes beside its settings: `body` and `camera` of a detector,
+        `body` of a solver, `address` and `run` of a sink. PluginError: as `find`; or it cannot be
+        built, or refuses the body. ConfigError: the settings, or a sink's address, do not fit.
         """
-        return cast("Detector", self._build("detector", name, settings, body=body, camera=camera))
-
-    def triangulator(self, name: str, settings: Mapping[str, Any]) -> Triangulator:
-        """Build a triangulator; raises as `detector` does."""
-        return cast("Triangulator", self._build("triangulator", name, settings))
-
-    def solver(self, name: str, settings: Mapping[str, Any], body: Body) -> PoseSolver:
-        """Build a pose solver; raises as `detector` does."""
-        return cast("PoseSolver", self._build("solver", name, settings, body=body))
-
-    def estimator(self, name: str, settings: Mapping[str, Any]) -> Estimator:
-        """Build an estimator; raises as `detector` does."""
-        return cast("Estimator", self._build("estimator", name, settings))
-
-    def sink(self, name: str, settings: Mapping[str, Any], address: str, run: SentRun) -> Sink:
-        """Build a sink; raises as `detector` does, ConfigError also for a wrong address."""
-        return cast("Sink", self._build("sink", name, settings, address=address, run=run))
-
-    def _build(self, kind: str, name: str, settings: Mapping[str, Any], **context: Any) -> Plugin:
+        kind = next(kind.name for kind in hooks.KINDS if kind.interface is interface)
         loaded = self.find(kind, name)
         config = read_settings(loaded.plugin.Config, settings, f"{kind} '{name}'")
         plugin: Any = loaded.plugin
         try:
             with redirect_stdout(sys.stderr):
-                return cast("Plugin", plugin(config, **context))
+                return cast("P", plugin(config, **context))
         except MeasureError:
             raise
         except Exception as error:
@@ -290,14 +268,7 @@ class Registry:
 
 
 def failure(kind: str, plugin: Plugin, place: str, error: Exception) -> PluginError:
-    """The error to raise from a plugin's own.
-
-    Args:
-        kind: of the plugin.
-        plugin: that failed.
-        place: what it was doing, or where.
-        error: its own, which no plugin should let out.
-    """
+    """The error to raise from a plugin's own; `place` is what it was doing, or where."""
     distribution = origin(type(plugin))
     owner = "" if distribution is None else f" of {distribution}"
     reason = " ".join(f"{type(error).__name__}: {error}".split())
@@ -308,11 +279,7 @@ def failure(kind: str, plugin: Plugin, place: str, error: Exception) -> PluginEr
 
 @contextmanager
 def named(kind: str, plugin: Plugin, place: str) -> Iterator[None]:
-    """Name a plugin that fails in here.
-
-    Raises:
-        PluginError: it fails.
-    """
+    """Name a plugin that fails in here; PluginError: it fails."""
     try:
         yield
     except MeasureError:
@@ -324,11 +291,9 @@ def named(kind: str, plugin: Plugin, place: str) -> Iterator[None]:
 def _line(plugin: Plugin, error: Exception) -> str:
     """The plugin's own line that led to an error; the last of all, if none is its own."""
     stack = list(traceback.walk_tb(error.__traceback__))
-    package = _package(type(plugin).__module__)
-    own = [step for step in stack if _package(step[0].f_globals.get("__name__", "")) == package]
+    package = type(plugin).__module__.partition(".")[0]
+    own = [
+        step for step in stack if step[0].f_globals.get("__name__", "").partition(".")[0] == package
+    ]
     frame, line = (own or stack)[-1]
     return f"{Path(frame.f_code.co_filename).name}, line {line}"
-
-
-def _package(module: str) -> str:
-    return module.partition(".")[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -15,8 +15,6 @@ class Settings(BaseModel):
     """Base of every plugin's `Config`: frozen; a misspelt field, NaN or infinity is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    # names that settings had before, with those they have now, for the message.
-    renamed: ClassVar[Mapping[str, str]] = {}
 
 
 def setting(default: Any, description: str, *, unit: str = "", **limits: Any) -> Any:
@@ -69,14 +67,12 @@ C = TypeVar("C", bound=BaseModel)
 def read_settings(config: type[C], values: Mapping[str, Any], owner: str) -> C:
     """Validate `values` as a `Config`.
 
+    ConfigError: an unknown name (the message lists the known ones) or a value that does not fit.
+
     Args:
         config: the class of settings.
         values: names and values; numbers and booleans may come as text from a command line.
         owner: whose settings they are ("detector 'hough'"), for the message.
-
-    Raises:
-        ConfigError: an unknown name (the message lists the known ones) or a value that does not
-            fit.
     """
     try:
         return config.model_validate(dict(values))
@@ -89,9 +85,6 @@ def explain_validation(error: ValidationError, config: type[BaseModel]) -> str:
     first = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
-        now = getattr(config, "renamed", {}).get(where)
-        if now is not None:
-            return f"setting '{where}' is called '{now}' now"
         return (
             f"unknown setting '{where}'; it has {', '.join(config.model_fields) or 'no settings'}"
         )

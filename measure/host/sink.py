@@ -151,11 +151,7 @@ def host_port(address: str) -> tuple[str, int]:
 
 
 def needed(module: str, extra: str) -> Any:
-    """A library of an extra of this program.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """A library of an extra of this program; ConfigError: it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError:

@@ -175,7 +175,10 @@ def _assemble_one(
     reported = log.schema.position_mm(states)
     errors = positions - reported
     measured = np.asarray(np.isfinite(errors).all(axis=1))
-    _check_common(track, finite, offset, positions[measured & near], reported[measured & near])
+    common = measured & near
+    if not common.any():
+        raise _nothing_common(track, finite, offset)
+    check_units(track.name, positions[common], reported[common])
     outlier = np.zeros(len(times), dtype=bool)
     outlier[row_of_pose] = _outliers(errors[row_of_pose], settings.outlier_sds)
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
@@ -235,18 +238,13 @@ def _clock(track: PoseTrack, log: CompleteStates, settings: AssemblySettings) ->
     )
 
 
-def _check_common(
-    track: PoseTrack, log: CompleteStates, offset_s: float, measured_mm: Floats, reported_mm: Floats
-) -> None:
-    """Refuse positions (n, 3) of the same instants if there are none, or not in one unit."""
-    if not len(measured_mm):
-        first, last = track.times_s[[0, -1]] + offset_s
-        raise EstimatorError(
-            f"{track.name}: no pose has a state: on the robot's clock, at an offset of "
-            f"{offset_s:g} s, the poses run from {first:.1f} to {last:.1f} s and the log from "
-            f"{log.times_s[0]:.1f} to {log.times_s[-1]:.1f} s"
-        )
-    check_units(track.name, measured_mm, reported_mm)
+def _nothing_common(track: PoseTrack, log: CompleteStates, offset_s: float) -> EstimatorError:
+    first, last = track.times_s[[0, -1]] + offset_s
+    return EstimatorError(
+        f"{track.name}: no pose has a state: on the robot's clock, at an offset of {offset_s:g} s, "
+        f"the poses run from {first:.1f} to {last:.1f} s and the log from "
+        f"{log.times_s[0]:.1f} to {log.times_s[-1]:.1f} s"
+    )
 
 
 def _facts(

@@ -168,10 +168,8 @@ def _agreements(
     lags = np.arange(-reach, reach + 1) / _GRID_HZ
     wide = np.arange(len(grid) + 2 * reach) / _GRID_HZ + (grid[0] - largest_s)
     measured, reported = cameras.velocity(grid), robot.velocity(wide)
-    measured_known, reported_known = (
-        cameras.known(grid).astype(np.float64),
-        robot.known(wide).astype(np.float64),
-    )
+    measured_known = cameras.known(grid).astype(np.float64)
+    reported_known = robot.known(wide).astype(np.float64)
     common_s = _sliding(reported_known, measured_known) / _GRID_HZ
     shorter_s = min(measured_known.sum(), reported_known.sum()) / _GRID_HZ
     if not common_s.max() > _MIN_MOTION_S:

@@ -24,6 +24,7 @@ from measure.robots.tables import Table
 _KEY = b"measure.schema"
 _ERRORS = ("ex_mm", "ey_mm", "ez_mm")
 _LABELS = ("ex", "ey", "ez")
+_LABEL_SD_MM = 0.1  # of those, which no column states
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _COVARIANCE = tuple(f"cov_{'xyz'[i]}{'xyz'[j]}_mm2" for i, j in _UPPER)
 
@@ -37,13 +38,10 @@ def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], s
         "trajectory": pa.array(np.array(data.names)[data.trajectory]).dictionary_encode(),
         "time_s": data.times_s,
         "usable": data.usable,
+        **dict(zip(_ERRORS, data.errors_mm.T, strict=True)),
+        **{n: data.covariances[:, i, j] for n, (i, j) in zip(_COVARIANCE, _UPPER, strict=True)},
+        **dict(zip(data.schema.names, data.states.T.astype(np.float32), strict=True)),
     }
-    for index, name in enumerate(_ERRORS):
-        columns[name] = data.errors_mm[:, index]
-    for name, (i, j) in zip(_COVARIANCE, _UPPER, strict=True):
-        columns[name] = data.covariances[:, i, j]
-    for index, name in enumerate(data.schema.names):
-        columns[name] = data.states[:, index].astype(np.float32)
     table = pa.table(columns).replace_schema_metadata(
         {_KEY: json.dumps(data.schema.to_dict()), ROBOT_KEY: data.schema.robot}
     )
@@ -93,7 +91,7 @@ def read_dataset(path: Path) -> Dataset:
     return _checked(path, data)
 
 
-def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) -> Dataset:
+def read_labelled(path: Path, schema: StateSchema) -> Dataset:
     """A table that already pairs states with errors.
 
     Needs the columns `run`, `t_s`, `ex`, `ey`, `ez` (mm) and the schema's features, or others that
@@ -125,7 +123,7 @@ def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) 
         trajectory,
         names,
         errors,
-        np.tile(label_sd_mm**2 * np.eye(3), (len(trajectory), 1, 1)),
+        np.tile(_LABEL_SD_MM**2 * np.eye(3), (len(trajectory), 1, 1)),
         usable,
     )
     return _checked(path, data)

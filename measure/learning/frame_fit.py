@@ -101,7 +101,10 @@ def fit_frames(seen: Sightings, *, kinematics: bool) -> FrameFit:
     count, links = len(seen.shared), seen.links
     fit = FrameFit(*_closed_form(seen), np.zeros(count), np.zeros(links), usual_sd(links))
     fit = _with_links(fit, seen)
-    seen = seen.take(_agreeing(fit, seen))
+    near = _Linear.of(fit, seen)
+    squares, size = squared_mahalanobis(near.residuals, near.covariances), near.residuals.shape[1]
+    usual = np.median(squares) / chi_square_quantile(0.5, size)
+    seen = seen.take(np.asarray(squares <= _OUTLIER_SDS**2 * size / 3 * usual))
     white = _Linear.of(fit, seen).white
     counts = [independent_count(white[seen.recording == k]) for k in range(count)]
     fit = _with_links(replace(fit, share=sum(counts) / len(white)), seen)
@@ -200,11 +203,10 @@ def _without_links(fit: FrameFit, seen: Sightings) -> FrameFit:
     by_links = solved[:, free:] * fit.link_sd
     gains = np.linalg.solve(N[:free, :free] + precision, weighted[:, :free])
     noise = _of_noise(gains @ near.by_pose, _Linear.of(fit, seen), seen)
-    return replace(
-        fitted,
-        covariance=by_links @ by_links.T + noise + _unknown(precision),
-        frames_by_links=by_links[:FRAMES],
-    )
+    held = np.diag(precision)  # what only this holds is as uncertain as it says
+    unknown = np.diag(np.divide(1.0, held, out=np.zeros_like(held), where=held > 0))
+    covariance = by_links @ by_links.T + noise + unknown
+    return replace(fitted, covariance=covariance, frames_by_links=by_links[:FRAMES])
 
 
 def _covariance(near: _Linear, fit: FrameFit, seen: Sightings) -> Floats:
@@ -242,19 +244,6 @@ def _precision(seen: Sightings, link_sd: Floats) -> Floats:
     known[9:FRAMES] = 0.0 if seen.chain else _UNKNOWN_RAD**-2
     known[FRAMES:] = _EXACT_S**-2 if seen.clocks_known else 0.0
     return np.concatenate([known, link_sd**-2.0])
-
-
-def _unknown(precision: Floats) -> Floats:
-    """The covariance of what only `precision` (m, m) holds."""
-    values = np.diag(precision)
-    return np.diag(np.divide(1.0, values, out=np.zeros_like(values), where=values > 0))
-
-
-def _agreeing(fit: FrameFit, seen: Sightings) -> Bools:
-    near = _Linear.of(fit, seen)
-    squares = squared_mahalanobis(near.residuals, near.covariances)
-    usual = np.median(squares) / chi_square_quantile(0.5, near.residuals.shape[1])
-    return np.asarray(squares <= _OUTLIER_SDS**2 * near.residuals.shape[1] / 3 * usual)
 
 
 def _moved(fit: FrameFit, seen: Sightings, x: Floats) -> FrameFit:

@@ -35,10 +35,8 @@ class RobotFrame:
         clocks = dict(self.clock_offsets_s)
         poses = {
             name: {"quat_wxyz": pose.quat_wxyz, "translation_mm": pose.translation}
-            for name, pose in (
-                ("world_from_base", self.world_from_base),
-                ("flange_from_body", self.flange_from_body),
-            )
+            for name, pose in vars(self).items()
+            if isinstance(pose, RigidTransform)
         }
         return {
             "robot": self.robot,
@@ -53,8 +51,7 @@ class RobotFrame:
     def to_base(self, track: PoseTrack) -> PoseTrack:
         """The reported point in the robot's base, of a track in the cameras' world.
 
-        Raises:
-            EstimatorError: the track has no rotations, and the point is not the body's origin.
+        EstimatorError: the track has no rotations, and the point is not the body's origin.
         """
         base_from_world = self.world_from_base.inverse()
         point, turns = self.flange_from_body.inverse().translation, track.rotations

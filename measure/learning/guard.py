@@ -121,11 +121,8 @@ class GuardedModel:
             )
         if self.follower is None:
             return correction
-        self._recent[self.counters.corrected if sequence is None else sequence] = (
-            state,
-            time_s,
-            correction,
-        )
+        number = self.counters.corrected if sequence is None else sequence
+        self._recent[number] = state, time_s, correction
         if len(self._recent) > _REMEMBERED:
             self._recent.popitem(last=False)
         return self.follower.corrected(correction, state, time_s)
@@ -174,11 +171,8 @@ class GuardedModel:
         if (reason := unfit(self.model, state, time_s)) is not None:
             return reason
         last = self._last_sequence
-        if (
-            sequence is not None
-            and last is not None
-            and not 0 < sequence - last <= _MAX_LOST_IN_A_ROW
-        ):
+        step = 1 if sequence is None or last is None else sequence - last
+        if not 0 < step <= _MAX_LOST_IN_A_ROW:
             return Refusal.REPEATED
         if time_s <= self._last_time_s:
             return Refusal.STALE

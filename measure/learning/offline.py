@@ -26,17 +26,8 @@ from measure.learning.offsets import (
     fit_zeroing,
 )
 from measure.reading import candidates, time_columns
-from measure.robots import (
-    Feature,
-    LogFile,
-    Reading,
-    StateSchema,
-    check_robot,
-    feature_columns,
-    is_table,
-    log_pieces,
-)
-from measure.robots.columns import Clock, FeatureColumns
+from measure.robots import LogFile, StateSchema, check_robot, feature_columns, is_table, log_pieces
+from measure.robots.schema import Clock, FeatureColumns
 from measure.robots.tables import TableFile
 
 _NEAR_S = 0.05  # a true position is that of the first state after it, if no later than this
@@ -76,7 +67,7 @@ def read_states(path: Path, model: OnnxModel) -> Iterator[StateTable]:
     if not path.exists():
         raise EstimatorError(f"{path}: no such file of states")
     if is_table(path):
-        schema = schema_of(model)
+        schema = model.schema
         file = TableFile.open(path, schema.log.delimiter)
         check_robot(file, model.robot)
         return _tables(file, feature_columns(path, schema, file.schema.names))
@@ -85,7 +76,7 @@ def read_states(path: Path, model: OnnxModel) -> Iterator[StateTable]:
 
 def _bagged(path: Path, model: OnnxModel) -> Iterator[StateTable]:
     row = 0
-    for times, states in log_pieces(path, schema_of(model)):
+    for times, states in log_pieces(path, model.schema):
         index = np.arange(row, row + len(times))
         yield StateTable(np.array([path.stem] * len(times)), index, times, states)
         row += len(times)
@@ -199,7 +190,7 @@ def correct_file(
     Writes Parquet or CSV: `run, i, t_s`, the errors `ex, ey, ez` in mm with `sd_mm` (3-D) and
     `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`.
     """
-    corrector, schema = Corrector(model, zeroing, follower, true), schema_of(model)
+    corrector, schema = Corrector(model, zeroing, follower, true), model.schema
     with ExitStack() as opened:
         writer: Any = None
         for table in read_states(states, model):
@@ -228,7 +219,7 @@ def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> di
 
 def follower_of(model: OnnxModel) -> OffsetFollower:
     """What follows the offsets by true positions, as large as they were in training."""
-    return OffsetFollower(schema_of(model), _prior_sd_mm(model))
+    return OffsetFollower(model.schema, _prior_sd_mm(model))
 
 
 def _prior_sd_mm(model: OnnxModel) -> float:
@@ -256,27 +247,6 @@ def rezero(
     for residual, covariance in zip(left, stated, strict=True):
         monitor.add(residual, covariance)
     return zeroing, monitor
-
-
-def schema_of(model: OnnxModel) -> StateSchema:
-    """The schema that a model file holds; of an older one enough to read its features in a log."""
-    if "schema" in model.facts:
-        try:
-            schema = StateSchema.from_dict(model.facts["schema"])
-            if schema.names != model.features:
-                raise ValueError
-            return schema
-        except (KeyError, TypeError, ValueError, AttributeError):
-            raise EstimatorError(
-                f"{model.where}: its metadata hold no schema that can be read: train it again"
-            ) from None
-    matrix = np.array(model.facts["position_mm"])
-    x, y, z = (
-        Reading(tuple((model.features[i], float(column[i])) for i in np.flatnonzero(column)))
-        for column in matrix.T
-    )
-    features = tuple(Feature(name, unit) for name, unit in model.facts["features"])
-    return StateSchema(model.robot, features, (x, y, z))
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,14 +62,10 @@ def register(recordings: Sequence[Recording], options: RegisterOptions) -> Robot
     """Find world_from_base, flange_from_body and the clock of every recording, all at once.
 
     The flange is the point that the robot reports, turned as its kinematics say. Where these are
-    not known it does not turn, and flange_from_body holds a point alone.
-
-    Args:
-        recordings: of one robot; the cameras and the body stayed where they were.
-
-    Raises:
-        EstimatorError: poses without rotations, a motion that shows too little, clocks that do not
-            match, kinematics that are not known or do not fit.
+    not known it does not turn, and flange_from_body holds a point alone. EstimatorError: poses
+    without rotations, a motion that shows too little, clocks that do not match, kinematics that are
+    not known or do not fit. The recordings are of one robot; the cameras and the body stayed where
+    they were.
     """
     clock_offset_s, kinematics = options.clock_offset_s, options.kinematics
     schema, given = recordings[0].log.schema, clock_offset_s is not None

@@ -26,8 +26,8 @@ class Score:
     rms_mm: float  # root mean square of the 3-D residual
     sd_mm: float  # root of the trace of the residuals' covariance
     p95_mm: float  # 95th percentile of its norm
-    axis_rms_mm: tuple[float, float, float]  # per axis
-    axis_sd_mm: tuple[float, float, float]  # per axis
+    axis_rms_mm: tuple[float, ...]  # (3,) per axis
+    axis_sd_mm: tuple[float, ...]  # (3,) per axis
 
     @classmethod
     def of(cls, residuals_mm: Floats) -> Score:
@@ -37,16 +37,13 @@ class Score:
             return cls(0, nan, nan, nan, (nan, nan, nan), (nan, nan, nan))
         axis_rms = np.sqrt((residuals_mm**2).mean(axis=0))
         axis_sd = residuals_mm.std(axis=0)
-        norms = np.linalg.norm(residuals_mm, axis=1)
-        rx, ry, rz = axis_rms.tolist()
-        sx, sy, sz = axis_sd.tolist()
         return cls(
             len(residuals_mm),
             float(np.linalg.norm(axis_rms)),
             float(np.linalg.norm(axis_sd)),
-            float(np.quantile(norms, 0.95)),
-            (rx, ry, rz),
-            (sx, sy, sz),
+            float(np.quantile(np.linalg.norm(residuals_mm, axis=1), 0.95)),
+            tuple(axis_rms.tolist()),
+            tuple(axis_sd.tolist()),
         )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model_validator
 
 from measure.errors import DivergedError, EstimatorError, FitError
-from measure.host import Registry, Report
+from measure.host import Estimator, Registry, Report
 from measure.learning.files import read_dataset
 from measure.learning.fitting import fit
 from measure.learning.scores import corrected_rms_mm
@@ -60,11 +60,12 @@ class _Space(RootModel[dict[str, Range]]):
 
 @dataclass(frozen=True)
 class SweepState:
-    """Numbers of finished, failed and running trials, and the best as (mm, settings)."""
+    """Numbers of trials in each state, and the best as (mm, settings)."""
 
     finished: int
     failed: int
     running: int
+    waiting: int  # to be tried again
     best: tuple[tuple[float, dict[str, Any]], ...]
 
 
@@ -78,13 +79,14 @@ def sweep_state(study: Any) -> SweepState:
     import optuna
 
     states = optuna.trial.TrialState
-    trials = study.get_trials(deepcopy=False)
-    done = [t for t in trials if t.state == states.COMPLETE]
+    counted = (states.COMPLETE, states.FAIL, states.RUNNING, states.WAITING)
+    done, failed, running, waiting = (study.get_trials(False, (state,)) for state in counted)
     best = sorted(done, key=lambda t: t.value)[:10]
     return SweepState(
         len(done),
-        sum(t.state == states.FAIL for t in trials),
-        sum(t.state == states.RUNNING for t in trials),
+        len(failed),
+        len(running),
+        len(waiting),
         # A choice is kept as JSON, for a list cannot be one of optuna's.
         tuple(
             (t.value, {k: json.loads(v) if isinstance(v, str) else v for k, v in t.params.items()})
@@ -222,26 +224,15 @@ def requeue_dead(study: Any) -> None:
 def _abandoned(trial: Any, patience_s: float) -> bool:
     """A worker of this machine is known to be gone; one of another is given up after a while."""
     host, _, pid = trial.user_attrs.get("worker", "").rpartition(":")
-    if host == os.uname().nodename:
-        return not _alive(int(pid))
-    return bool((datetime.now() - trial.datetime_start).total_seconds() > patience_s)
-
-
-def queued(study: Any) -> bool:
-    """Whether settings wait to be tried again."""
-    import optuna
-
-    return any(t.state == optuna.trial.TrialState.WAITING for t in study.get_trials(deepcopy=False))
-
-
-def _alive(pid: int) -> bool:
+    if host != os.uname().nodename:
+        return bool((datetime.now() - trial.datetime_start).total_seconds() > patience_s)
     try:
-        os.kill(pid, 0)
+        os.kill(int(pid), 0)
     except ProcessLookupError:
-        return False
-    except PermissionError:
         return True
-    return True
+    except PermissionError:  # another user's, and alive
+        return False
+    return False
 
 
 @dataclass(frozen=True)
@@ -269,7 +260,7 @@ def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
         raise EstimatorError(f"{job.data}: has changed since the sweep began: use another journal")
     split = split_by_trajectory(data, seed=job.seed)
     registry = Registry.discover()
-    estimator = registry.estimator(job.estimator, {**job.settings, **settings})
+    estimator = registry.build(Estimator, job.estimator, {**job.settings, **settings})
     estimator.folds = 0  # the score is of corrections, not of covariances
     fit(estimator, split.train, split.validation, seed=job.seed, report=quiet)
     model = getattr(estimator, "model", None)
@@ -307,7 +298,7 @@ def sweep(
                 f"{len(failed)} trials failed and {state.finished} finished; the last failure: "
                 f"{failed[-1]}: mend the space and use another journal, or want more trials"
             )
-        if state.finished + state.running >= trials and not queued(study):
+        if state.finished + state.running >= trials and not state.waiting:
             time.sleep(0.5)
             continue
         if scheduler:

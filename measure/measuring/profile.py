@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -14,11 +13,6 @@ class Profile(BaseModel):
     """A named choice of stages; `measure/profiles/*.toml` hold those that come with the program."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    renamed: ClassVar[Mapping[str, str]] = {
-        "own_times": "per_image_timestamps",
-        "neighbours": "smoothing",
-        "look_again": "remeasure_after_search",
-    }
 
     name: str  # how a user selects it
     detector: str  # name of the detector plugin

@@ -151,11 +151,7 @@ def _short(value: Any) -> str:
 
 
 def _near(key: str, keys: tuple[int | str, ...], model: type[BaseModel]) -> str:
-    at = _model_at(model, keys[:-1])
-    now = getattr(at, "renamed", {}).get(key)
-    if now is not None:
-        return f": it is called '{now}' now"
-    known = list(getattr(at, "model_fields", {}))
+    known = list(getattr(_model_at(model, keys[:-1]), "model_fields", {}))
     near = difflib.get_close_matches(key, known, n=2)
     if near:
         return f"; did you mean {' or '.join(near)}?"

@@ -18,7 +18,7 @@ from pyarrow import csv, ipc, parquet
 
 from measure.api import shipped_model
 from measure.cli import main
-from measure.host import Registry
+from measure.host import Estimator, Registry
 from measure.host.estimator import quiet
 from measure.learning import files, split_by_trajectory
 from measure.robots import RobotLog, raven_schema, write_log
@@ -264,7 +264,7 @@ def _write_robot(folder: Path) -> None:
 
 def _write_checkpoint(folder: Path) -> None:
     """As a kill leaves it."""
-    estimator = Registry.discover().estimator("mlp", {"epochs": 3})
+    estimator = Registry.discover().build(Estimator, "mlp", {"epochs": 3})
     estimator.checkpoint = folder / "net.checkpoint"
     split = split_by_trajectory(files.read_dataset(folder / "set.parquet"))
     before, _checkpoint.EVERY_S = _checkpoint.EVERY_S, 0.0

@@ -114,7 +114,7 @@ def test_what_a_plugin_prints_is_no_result(install, capsys):
     talking = detector_source().replace("return [Blob]", "print('offered')\n    return [Blob]")
     built = "name = 'blob'\n    def __init__(self, *_, **given): print('built')"
     install("acme", "print('imported')\n" + talking.replace('name = "blob"', built))
-    Registry.discover(disabled=["triball"]).detector("blob", {}, None, None)
+    Registry.discover(disabled=["triball"]).build(Detector, "blob", {}, body=None, camera=None)
     assert capsys.readouterr() == ("", "imported\noffered\nbuilt\n")
 
 

@@ -12,7 +12,7 @@ from measure.api import shipped_model
 from measure.errors import EstimatorError
 from measure.host import OnnxModel
 from measure.host.onnx_graph import seal
-from measure.host.onnx_model import read_card, read_facts
+from measure.host.onnx_model import read_metadata
 
 FACTS = OnnxModel.load(shipped_model()).facts
 
@@ -46,21 +46,21 @@ def test_facts_of_wrong_types(change: Callable[[dict[str, Any]], object], words:
     facts = dict(FACTS)
     change(facts)
     with pytest.raises(EstimatorError, match=words) as caught:
-        read_facts(json.dumps(facts), "x")
+        read_metadata("measure", json.dumps(facts), "x")
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "9" * 5_000, "[]", "1", "null"])
 def test_metadata_that_are_no_table(text: str) -> None:
-    for read in (read_facts, read_card):
+    for key in ("measure", "card"):
         with pytest.raises(EstimatorError, match=r"x: its metadata `.*` is no "):
-            read(text, "x")
+            read_metadata(key, text, "x")
 
 
 @pytest.mark.parametrize("part", [3, {"rows": "all", "trajectories": []}, {"rows": 1}])
 def test_a_card_of_wrong_types(part: object) -> None:
     with pytest.raises(EstimatorError, match=r"x: its metadata `card`: 'data\.test"):
-        read_card(json.dumps({"data": {"test": part}}), "x")
+        read_metadata("card", json.dumps({"data": {"test": part}}), "x")
 
 
 def test_a_graph_of_other_tensors_than_it_says() -> None:

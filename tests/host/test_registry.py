@@ -104,24 +104,24 @@ def test_one_name_in_two_kinds_is_no_clash():
 
 
 def test_create_validates_the_settings_and_builds():
-    plugin = Registry([loaded()]).triangulator("tall", {"height_px": "4"})
+    plugin = Registry([loaded()]).build(Triangulator, "tall", {"height_px": "4"})
     assert isinstance(plugin, Tall)
     assert plugin.config == TallConfig(height_px=4.0)
 
 
 def test_create_says_whose_setting_is_wrong():
     with pytest.raises(ConfigError, match=r"triangulator 'tall': 'height_px': .*greater than 0"):
-        Registry([loaded()]).triangulator("tall", {"height_px": -1})
+        Registry([loaded()]).build(Triangulator, "tall", {"height_px": -1})
 
 
 def test_a_constructor_that_fails_is_named_and_keeps_its_cause():
     with pytest.raises(PluginError, match=r"'failing' of acme 1\.0 cannot be built: OSError: no"):
-        Registry([loaded(Failing)]).triangulator("failing", {})
+        Registry([loaded(Failing)]).build(Triangulator, "failing", {})
 
 
 def test_a_constructor_that_explains_itself_is_not_wrapped():
     with pytest.raises(ConfigError, match=r"^heights differ$"):
-        Registry([loaded(Refusing)]).triangulator("refusing", {})
+        Registry([loaded(Refusing)]).build(Triangulator, "refusing", {})
 
 
 def test_named_finds_every_kind_and_the_broken():

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal
 
 import pydantic
 import pytest
 
-import measure
-from measure.api import load_profile
 from measure.errors import ConfigError
 from measure.host import Setting, Settings, describe_settings, setting
 from measure.host.settings import read_settings
-from measure_plugins.detectors.outline import OutlineConfig
 
 
 class Example(Settings):
@@ -79,16 +75,3 @@ def test_the_description_is_for_people():
     assert described[2].type == "Literal['srgb', 'linear']"
     assert described[2].default == "'srgb'"
     assert describe_settings(Needy)[0].default == "required"
-
-
-def test_a_setting_that_was_renamed_is_answered_with_its_name():
-    with pytest.raises(ConfigError, match="setting 'learn' is called 'self_calibrate' now"):
-        read_settings(OutlineConfig, {"learn": False}, "detector 'outline'")
-
-
-def test_a_profile_of_old_names_is_answered_with_the_new_ones(tmp_path):
-    profile = tmp_path / "mine.toml"
-    text = (Path(measure.__file__).parent / "profiles" / "precise.toml").read_text()
-    profile.write_text(text.replace("smoothing", "neighbours"))
-    with pytest.raises(ConfigError, match="'neighbours': it is called 'smoothing' now"):
-        load_profile(str(profile))

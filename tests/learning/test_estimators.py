@@ -38,7 +38,7 @@ def fitted(split: Split) -> dict[str, Estimator]:
     registry = Registry.discover()
     out = {}
     for (name, settings, _), key in zip(CASES, IDS, strict=True):
-        estimator = registry.estimator(name, settings)
+        estimator = registry.build(Estimator, name, settings)
         estimator.fit(split.train, split.validation, seed=0, report=quiet)
         out[key] = estimator
     return out
@@ -119,7 +119,7 @@ def test_a_fit_that_diverges_is_refused(split: Split) -> None:
     """It used to be a model of NaN."""
     for rate in (1e10, 1e30):
         settings = {"layers": (4,), "epochs": 1, "batch": 64, "learning_rate": rate}
-        estimator = Registry.discover().estimator("mlp", settings)
+        estimator = Registry.discover().build(Estimator, "mlp", settings)
         with pytest.raises(DivergedError, match="of estimator 'mlp' diverged"):
             estimator.fit(split.train, split.validation, seed=0, report=quiet)
 
@@ -130,7 +130,7 @@ def test_bad_data_and_files_are_refused(
     with pytest.raises(EstimatorError, match="is in training and validation"):
         fitted["offset"].fit(split.train, split.train, seed=0, report=quiet)
     with pytest.raises(EstimatorError, match="has not been fitted"):
-        Registry.discover().estimator("offset", {}).reset()
+        Registry.discover().build(Estimator, "offset", {}).reset()
     path = tmp_path / "model.onnx"
     fitted["ridge-play"].save(path, {})
     content = path.read_bytes()

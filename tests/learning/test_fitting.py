@@ -10,7 +10,7 @@ import pytest
 
 from measure.cli import main
 from measure.errors import EstimatorError, FitError
-from measure.host import Registry
+from measure.host import Estimator, Registry
 from measure.host.estimator import quiet
 from measure.learning import Split
 from measure.learning.fitting import fit
@@ -110,7 +110,7 @@ def _stumbling(self, data, validation, *, seed, report):
 @pytest.mark.parametrize("learn", [_asking, _wrapping, _stumbling])
 def test_what_a_watcher_raises_comes_out_as_it_is(split: Split, monkeypatch, learn):
     monkeypatch.setattr(OffsetEstimator, "learn", learn)
-    estimator = Registry.discover().estimator("offset", {})
+    estimator = Registry.discover().build(Estimator, "offset", {})
     theirs = _Stop("enough")
     with pytest.raises(_Stop) as caught:
         fit(estimator, split.train, split.validation, seed=0, report=_fails(theirs))
@@ -124,7 +124,7 @@ def test_an_error_after_a_caught_stop_is_the_estimators(split: Split, monkeypatc
         raise IndexError("out of data")
 
     monkeypatch.setattr(OffsetEstimator, "learn", learn)
-    estimator = Registry.discover().estimator("offset", {})
+    estimator = Registry.discover().build(Estimator, "offset", {})
     with pytest.raises(FitError, match="IndexError: out of data"):
         fit(estimator, split.train, split.validation, seed=0, report=_fails(_Stop()))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from measure.cli import main
-from measure.host import Correction, OnnxModel, Registry
+from measure.host import Correction, Estimator, OnnxModel, Registry
 from measure.host.estimator import quiet
 from measure.learning import EstimateServer, OffsetFollower, Refusal, Split, TruePacket
 from measure.learning.datagrams import AnswerPacket, StatePacket
@@ -21,7 +21,7 @@ ME = ("127.0.0.1", 5)
 @pytest.fixture(scope="module")
 def model_path(split: Split, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model") / "offset.onnx"
-    estimator = Registry.discover().estimator("offset", {})
+    estimator = Registry.discover().build(Estimator, "offset", {})
     estimator.fit(split.train, split.validation, seed=0, report=quiet)
     estimator.save(path, {})
     return path

@@ -51,7 +51,7 @@ def _recordings(names: list[str], seed: int, rows: int = 60) -> Dataset:
 def _fitted(data: Dataset, folds: int) -> Estimator:
     """A forest, which remembers a place, stopped by a piece of every recording."""
     halves = [[name for name in data.names if name.endswith(half)] for half in ("0", "1")]
-    forest = Registry.discover().estimator("forest", {"trees": 5})
+    forest = Registry.discover().build(Estimator, "forest", {"trees": 5})
     forest.folds = folds
     forest.fit(data.select(halves[0]), data.select(halves[1]), seed=0, report=quiet)
     return forest
@@ -94,7 +94,7 @@ def test_baselines_go_through_the_kinematics(name: str, settings: dict[str, floa
     for known in (schema, replace(schema, chain=None)):
         part = replace(data, errors_mm=errors, schema=known, states=states)
         train, other = part.select(part.names[:12]), part.select(part.names[12:])
-        fit = Registry.discover().estimator(name, settings)
+        fit = Registry.discover().build(Estimator, name, settings)
         fit.folds = 0
         fit.fit(train, other, seed=0, report=quiet)
         left.append(evaluate(other, fit.model.predict(other)).after.rms_mm)  # type: ignore[attr-defined]

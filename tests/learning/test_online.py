@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.online import time_round_trips
 from measure.errors import EstimatorError
-from measure.host import Correction, OnnxModel, Registry
+from measure.host import Correction, Estimator, OnnxModel, Registry
 from measure.host.estimator import quiet
 from measure.learning import (
     AnswerPacket,
@@ -26,7 +26,6 @@ from measure.learning import (
     correct_file,
     read_states,
 )
-from measure.learning.offline import schema_of
 from measure.learning.server import SILENT_S
 from measure.robots import tables
 from measure.robots.tables import Table
@@ -36,7 +35,7 @@ pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
 @pytest.fixture(scope="module")
 def model_path(split: Split, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    estimator = Registry.discover().estimator("ridge", {"play_widths": 3})
+    estimator = Registry.discover().build(Estimator, "ridge", {"play_widths": 3})
     estimator.fit(split.train, split.validation, seed=0, report=quiet)
     path = tmp_path_factory.mktemp("model") / "ridge.onnx"
     estimator.save(path, {})
@@ -333,5 +332,4 @@ def test_offline_is_online(
     parquet.write_table(pa.table(labels | columns), path)
     with pytest.raises(EstimatorError, match="lacks 1 of 118 columns: tau_0"):
         read_states(path, model)
-    schema = schema_of(model)
-    np.testing.assert_allclose(schema.position_mm(data.states), data.reported_mm, atol=1e-9)
+    np.testing.assert_allclose(model.schema.position_mm(data.states), data.reported_mm, atol=1e-9)

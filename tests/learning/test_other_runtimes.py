@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from measure.host import Dataset, OnnxModel, Registry
+from measure.host import Dataset, Estimator, OnnxModel, Registry
 from measure.host.estimator import quiet
 from measure.learning import EstimateServer
 from measure.robots import find_schema
@@ -44,7 +44,7 @@ def walks(seed: int) -> Dataset:
 
 @pytest.fixture(scope="module")
 def model_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    estimator = Registry.discover().estimator("ridge", {"play_widths": 3})
+    estimator = Registry.discover().build(Estimator, "ridge", {"play_widths": 3})
     estimator.fit(walks(1), walks(2), seed=0, report=quiet)
     path = tmp_path_factory.mktemp("model") / "ridge.onnx"
     estimator.save(path, {})

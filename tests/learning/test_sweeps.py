@@ -15,7 +15,7 @@ import pytest
 
 from measure.cli import main
 from measure.errors import DivergedError, EstimatorError
-from measure.host import Dataset, Registry
+from measure.host import Dataset, Estimator, Registry
 from measure.learning import files
 from measure.learning.sweeping import read_space
 from tests.dask_cluster import Cluster, wait_for
@@ -66,7 +66,7 @@ def test_the_search_space_of_the_documentation_fits_the_estimator() -> None:
     registry = Registry.discover()
     for end in (0, -1):
         drawn = {name: (one.choices or [one.low, one.high])[end] for name, one in space.items()}
-        assert registry.estimator("mlp", drawn).name == "mlp"
+        assert registry.build(Estimator, "mlp", drawn).name == "mlp"
 
 
 @pytest.fixture

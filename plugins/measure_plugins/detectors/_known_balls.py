@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -36,8 +36,6 @@ GIVE_UP_SHARE = 2 / 3
 
 class OutlineConfig(Settings):
     """Settings of the `outline` detector."""
-
-    renamed: ClassVar[Mapping[str, str]] = {"learn": "self_calibrate"}
 
     rays: int = setting(
         72, "Rays cast across each outline, an even number.", ge=16, le=720, multiple_of=2

@@ -23,7 +23,7 @@ from benchmarks.sinks import HOST, address, body, camera, free_port, measurement
 from measure.api.sending import SendOptions, open_sending, sent_pose
 from measure.cli import main
 from measure.errors import ConfigError
-from measure.host import EventMark, Registry, SentRun
+from measure.host import EventMark, Registry, SentRun, Sink
 from measure.model import Image
 from tests.receiving import wait_for
 
@@ -35,7 +35,7 @@ def run_of(*names, reference=""):
 def build(where, run, **settings):
     scheme, _, rest = where.partition(":")
     place = rest.removeprefix("//").partition("?")[0]
-    return Registry.discover().sink(scheme, settings, place, run)
+    return Registry.discover().build(Sink, scheme, settings, address=place, run=run)
 
 
 def read(client, size):

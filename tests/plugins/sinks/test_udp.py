@@ -15,7 +15,7 @@ from pythonosc.osc_server import ThreadingOSCUDPServer
 from benchmarks.sinks import body, measurement
 from measure.api.sending import sent_pose
 from measure.errors import ConfigError
-from measure.host import EventMark, Registry, SentRun
+from measure.host import EventMark, Registry, SentRun, Sink
 
 RUN = SentRun("run", (body("tool"),), ())
 
@@ -24,7 +24,7 @@ def opened(address):
     scheme, _, rest = address.partition("://")
     where, _, query = rest.partition("?")
     settings = dict(item.split("=") for item in query.split("&") if item)
-    sink = Registry.discover().sink(scheme, settings, where, RUN)
+    sink = Registry.discover().build(Sink, scheme, settings, address=where, run=RUN)
     sink.open()
     return sink
 

@@ -42,15 +42,6 @@ _SUSPICIOUS = (Reason.JUMPED, Reason.COLOR, Reason.INCONSISTENT)
 class PredictiveConfig(Settings):
     """Settings of tracking in SE(3)."""
 
-    renamed: ClassVar[Mapping[str, str]] = {
-        "turning_rad_s2": "angular_acceleration_rad_s2",
-        "turning_rad_s": "angular_speed_rad_s",
-        "model_px": "systematic_px",
-        "own_px": "view_bias_px",
-        "reach_floor_px": "min_reach_px",
-        "size_slack": "radius_slack",
-    }
-
     acceleration_mm_s2: float = setting(
         1500.0, "Standard deviation of the body's acceleration.", unit="mm/s^2", gt=0
     )
