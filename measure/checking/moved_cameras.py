@@ -220,7 +220,7 @@ def _difference(
     residuals, by_body, _ = mine.residuals(fit.world_from_body, sample.velocity)
     middle = residuals.mean(axis=0)
     apart = np.max(np.linalg.norm(residuals - middle, axis=1))
-    if apart >= _MAX_SPREAD_PX + _MAX_SPREAD_RATIO * np.linalg.norm(middle):  # some are hidden
+    if not apart < _MAX_SPREAD_PX + _MAX_SPREAD_RATIO * np.linalg.norm(middle):  # one is hidden
         return None
     _, _, by_pose, _ = camera.project_with_jacobians(fit.world_from_body.apply(mine.points_body))
     # The least rotation: partly hidden balls do not determine one about the line of sight.
