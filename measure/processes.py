@@ -1,8 +1,9 @@
-"""Worker processes, the progress of long work, and clusters to hand it to."""
+"""Worker processes, the progress of long work, clusters to hand it to, optional libraries."""
 
 from __future__ import annotations
 
 import ctypes
+import importlib
 import multiprocessing
 import os
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from contextlib import contextmanager, suppress
 from threading import Thread
 from typing import Any, Protocol
 
-from measure.errors import ConfigError
+from measure.errors import ConfigError, MeasureError
 
 _M_ARENA_MAX = -8  # Of glibc's malloc.h
 _HEAPS = 2
@@ -60,6 +61,16 @@ def share_heaps() -> None:
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, _HEAPS)
 
 
+def needed(
+    module: str, extra: str, user: str = "it", error: type[MeasureError] = ConfigError
+) -> Any:
+    """A library of an extra of this program, for a user of it; an error if it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise error(f"{user} needs the extra '{extra}': pip install 'triball[{extra}]'") from None
+
+
 _CONNECT_S = 10.0
 
 
@@ -70,12 +81,7 @@ def connected(address: str, option: str) -> Iterator[tuple[Any, Any]]:
     ConfigError: the extra is missing, no scheduler answers, or it has no workers; the message names
     the option of the command line that gave the address.
     """
-    try:
-        import distributed
-    except ImportError:
-        raise ConfigError(
-            f"{option} needs dask.distributed: pip install 'triball[cluster]'"
-        ) from None
+    distributed = needed("distributed", "cluster", option)
     if "://" not in address:
         raise ConfigError(f"{option} {address}: expected a scheduler's address, tcp://HOST:PORT")
     try:

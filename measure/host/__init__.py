@@ -16,7 +16,8 @@ from measure.host.onnx_graph import Graph, Value, seal
 from measure.host.onnx_model import Estimates, OnnxModel
 from measure.host.registry import Broken, Distribution, Loaded, Registry, discover
 from measure.host.settings import Setting, Settings, describe_settings, setting
-from measure.host.sink import EventMark, SentPose, SentRun, Sink, host_port, needed
+from measure.host.sink import EventMark, SentPose, SentRun, Sink, host_port
+from measure.processes import needed
 
 __all__ = [
     "ENTRY_POINT_GROUP", "Broken", "Core", "Correction", "Dataset", "Detector", "Distribution",

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
+from measure.processes import needed
 
 Value: TypeAlias = str
 """The name of a tensor inside a graph."""
@@ -44,13 +45,7 @@ class Graph:
     """
 
     def __init__(self) -> None:
-        try:
-            import onnx.helper
-        except ImportError:
-            raise EstimatorError(
-                "writing a model needs the extra 'train': pip install 'triball[train]'"
-            ) from None
-        self._onnx = onnx
+        self._onnx = needed("onnx", "train", "writing a model", EstimatorError)
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -148,11 +147,3 @@ def host_port(address: str) -> tuple[str, int]:
     if not (host and port.isdecimal() and 0 < int(port) < 65_536):
         raise ConfigError("expected HOST:PORT, such as 127.0.0.1:5005")
     return host.strip("[]"), int(port)
-
-
-def needed(module: str, extra: str) -> Any:
-    """A library of an extra of this program; ConfigError: it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise ConfigError(f"it needs the extra '{extra}': pip install 'triball[{extra}]'") from None

@@ -21,7 +21,7 @@ from measure.learning.files import read_dataset
 from measure.learning.fitting import fit
 from measure.learning.scores import corrected_rms_mm
 from measure.learning.splits import split_by_trajectory
-from measure.processes import connected
+from measure.processes import connected, needed
 from measure.reading import MAX_TEXT_BYTES, read_bytes
 from measure.session import load_toml
 
@@ -97,17 +97,11 @@ def sweep_state(study: Any) -> SweepState:
 
 def open_study(journal: Path, identity: str) -> Any:
     """The study in a journal, started if absent; EstimatorError if it is not this sweep's."""
-    try:
-        import optuna
-        from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
-    except ImportError:
-        raise EstimatorError(
-            "a sweep needs the extra 'sweep': pip install 'triball[sweep]'"
-        ) from None
+    optuna = needed("optuna", "sweep", "a sweep", EstimatorError)
+    journals = needed("optuna.storages.journal", "sweep", "a sweep", EstimatorError)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     journal.parent.mkdir(parents=True, exist_ok=True)
-    lock = JournalFileOpenLock(str(journal))
+    lock = journals.JournalFileOpenLock(str(journal))
     lock.acquire()
     try:
         _check_lines(journal)
@@ -116,7 +110,9 @@ def open_study(journal: Path, identity: str) -> Any:
     try:
         study = optuna.create_study(
             study_name="sweep",
-            storage=JournalStorage(JournalFileBackend(str(journal), lock_obj=lock)),
+            storage=optuna.storages.JournalStorage(
+                journals.JournalFileBackend(str(journal), lock_obj=lock)
+            ),
             load_if_exists=True,
             sampler=optuna.samplers.TPESampler(constant_liar=True),
         )

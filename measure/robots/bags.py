@@ -17,6 +17,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
+from measure.processes import needed
 from measure.reading import check_ordinary
 from measure.robots.raven import FIELDS, raven_schema
 from measure.robots.schema import FeatureColumns, StateSchema, find_columns
@@ -220,21 +221,13 @@ MESSAGE = "raven_2/msg/raven_state"
 DEFINITION = Path(__file__).with_name("builtin").joinpath("raven_state.msg").read_text("utf-8")
 
 
-def _rosbags() -> Any:
-    try:
-        import rosbags.highlevel
-        import rosbags.typesys
-
-        return rosbags
-    except ImportError:
-        raise EstimatorError(
-            "reading bags needs the extra 'ros': pip install 'triball[ros]'"
-        ) from None
+def _rosbags(part: str) -> Any:
+    return needed(f"rosbags.{part}", "ros", "reading bags", EstimatorError)
 
 
 def _types() -> Any:
     """Types of ROS 2; bags of ROS 1 bring their own."""
-    typesys = _rosbags().typesys
+    typesys = _rosbags("typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     store.register(typesys.get_types_from_msg(DEFINITION, MESSAGE))
     return store
@@ -258,7 +251,7 @@ def _bag_states(
     arm = {raven_schema("left").robot: 0, raven_schema("right").robot: 1}.get(schema.robot)
     count = 0
     try:
-        with _rosbags().highlevel.AnyReader([path], default_typestore=_types()) as reader:
+        with _rosbags("highlevel").AnyReader([path], default_typestore=_types()) as reader:
             if arm is None:
                 rows = joint_rows(path, reader, schema, topic)
             else:

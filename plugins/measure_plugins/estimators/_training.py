@@ -11,6 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
+from measure.host import needed
 from measure_plugins.estimators._nets import STEP_GAIN, Grus, Perceptrons, array_of
 from measure_plugins.estimators._training_set import TrainingSet
 
@@ -21,12 +22,7 @@ AfterEpoch = Callable[[int, float, float], None]
 
 def torch_or_explain() -> Any:
     """The torch module, on one thread; EstimatorError if it is not installed."""
-    try:
-        import torch
-    except ImportError:
-        raise EstimatorError(
-            "training needs the extra 'train': pip install 'triball[train]'"
-        ) from None
+    torch = needed("torch", "train", "training", EstimatorError)
     torch.set_num_threads(1)
     return torch
 

@@ -9,7 +9,18 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import align_points
-from measure.host import Core, Dataset, Estimator, Graph, Report, Settings, Value, hookimpl, setting
+from measure.host import (
+    Core,
+    Dataset,
+    Estimator,
+    Graph,
+    Report,
+    Settings,
+    Value,
+    hookimpl,
+    needed,
+    setting,
+)
 from measure_plugins.estimators._inputs import WithinTrajectoryEstimator, informative_features
 
 
@@ -31,12 +42,7 @@ class ForestEstimator(WithinTrajectoryEstimator):
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Align reported with measured positions, then grow trees on the residuals."""
-        try:
-            from sklearn.ensemble import RandomForestRegressor
-        except ImportError:
-            raise EstimatorError(
-                "'forest' needs the extra 'train': pip install 'triball[train]'"
-            ) from None
+        ensemble = needed("sklearn.ensemble", "train", "'forest'", EstimatorError)
         used = data.usable
         reported = data.reported_mm[used]
         measured = reported + data.errors_mm[used]
@@ -46,7 +52,7 @@ class ForestEstimator(WithinTrajectoryEstimator):
         residual = measured - rigid.apply(reported)
         self._columns = informative_features(data)
         report(0.1, "aligned")
-        grower = RandomForestRegressor(
+        grower = ensemble.RandomForestRegressor(
             self.config.trees,
             max_depth=self.config.depth,
             min_samples_leaf=self.config.leaf_rows,
