@@ -25,6 +25,8 @@ from benchmarks.recordings import (
     render_all,
     rendered_scenes,
 )
+from benchmarks.scale import HEAD as SCALE_HEAD
+from benchmarks.scale import rows as scale_rows
 from benchmarks.tables import FIGURES, Rows, markdown, measured_rows, typical
 from measure.processes import processes
 from measure.results import versions
@@ -94,6 +96,15 @@ centres, and how many 95 % regions, with the marks' own error, hold the marks. T
 `python -m benchmarks --only photographs`.
 
 """
+SCALE = """## Scale
+
+The recording `still` with its pictures enlarged, and noise as of a sensor (`benchmarks/scale.py`):
+CPU time of reading and decoding a picture, of detecting one ball in one picture, and of all else of
+a frame set; of a frame set of four cameras and one body in `measure run`, and how many it measures
+in a second on two cores. What follows is modelled from these parts, not measured: eight cameras and
+six bodies of three balls. This table alone: `python -m benchmarks --only scale`.
+
+"""
 APART = {ALTERED: ALTERED_RECORDINGS, RELIT: RELIT_SCENES, UNUSUAL: UNUSUAL_PICTURES}
 """Prefixes of recordings with a table of their own, and the text above it."""
 
@@ -107,7 +118,7 @@ def _options() -> argparse.Namespace:
         "recording; with --out, write it as a page of the documentation.",
         epilog=f"methods: {methods}; recordings: the rendered sessions beside the project, where "
         "they are at hand, these 'altered', 'own', 'relit' and 'unusual' scenes of "
-        "measure.simulation, photographs, where they are at hand, and off-axis",
+        "measure.simulation, photographs and scale, where they are at hand, and off-axis",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     parser.add_argument("--frames", type=int, default=24, help="frame sets per scene")
@@ -130,6 +141,7 @@ def _options() -> argparse.Namespace:
         *rendered_scenes(),
         "photographs",
         "off-axis",
+        "scale",
     ]
     if not any(given.only in name for name in known):
         names = ", ".join(known)
@@ -185,6 +197,8 @@ def _sections(given: argparse.Namespace, folder: Path) -> Iterator[str]:
         most = max(ball.radius_px for ball in balls)
         rows = [row for row in photograph_rows(balls) if given.methods in row[0]]
         yield PHOTOGRAPHS.format(balls=len(balls), most=most) + markdown(HEAD, rows)
+    if given.only in "scale" and (still := recordings_beside().get("still")):
+        yield SCALE + markdown(SCALE_HEAD, [*scale_rows(still, cameras=8, bodies=6, frames=400)])
     if given.only in "off-axis":
         turned = off_axis_recordings(folder, max(given.frames // 4, 1))
         head = ("method", *(f"{a:.0f}-{b:.0f} deg" for a, b in pairwise(BINS_DEG)))

@@ -53,7 +53,7 @@ def main() -> None:
     names = ("reference ms", *STAGES, "the rest", "all", "first", "search", "associate")
     print(f"{'session':12}" + "".join(f"{name:>13}" for name in names))
     for folder in given.sessions:
-        with open_session(folder) as session, _one_core():
+        with open_session(folder) as session, one_core():
             reference, table, first = stages(session, given.profile, given.repeats)
         ratios = "".join(f"{value / reference:11.2f} x" for value in (*table, *first))
         print(f"{session.name:12}{1e3 * reference:13.3f}{ratios}")
@@ -62,7 +62,7 @@ def main() -> None:
 
 
 @contextmanager
-def _one_core() -> Iterator[None]:
+def one_core() -> Iterator[None]:
     """Hold the process to one core: threads side by side take each other's cache and memory."""
     if not hasattr(os, "sched_setaffinity"):
         yield
@@ -161,6 +161,15 @@ def _held(image: Image, pixels: Any) -> Image:
 
 def _whole(folder: Path, profile: str, reference: float, frames: int = 400) -> str:
     """`measure run` on a long session: the pace, and CPU time per frame set."""
+    wall, cpu, whole = whole_run(folder, profile, frames)
+    return (
+        f"measure run: {1 / wall:.1f} frame sets per s; CPU {1e3 * cpu:.1f} ms a frame set "
+        f"({cpu / reference:.1f} x); {frames} frame sets in {whole:.1f} s with start and end"
+    )
+
+
+def whole_run(folder: Path, profile: str, frames: int) -> tuple[float, float, float]:
+    """Time and CPU time per frame set of `measure run`; and its time with start and end, in s."""
     stamps: list[tuple[float, float]] = []
 
     def report(done: int, total: int | None) -> None:  # noqa: ARG001
@@ -175,10 +184,7 @@ def _whole(folder: Path, profile: str, reference: float, frames: int = 400) -> s
         )
         whole = time.perf_counter() - begin
     wall, cpu = np.subtract(stamps[-1], stamps[0]) / (len(stamps) - 1)
-    return (
-        f"measure run: {1 / wall:.1f} frame sets per s; CPU {1e3 * cpu:.1f} ms a frame set "
-        f"({cpu / reference:.1f} x); {len(stamps)} frame sets in {whole:.1f} s with start and end"
-    )
+    return float(wall), float(cpu), whole
 
 
 def long_session(folder: Path, out: Path, frames: int) -> None:
