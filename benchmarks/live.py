@@ -6,7 +6,7 @@ measures and records them and sends to a viewer, which nobody watches, and to si
 client in a process of its own. Printed are the frame sets measured and left out; how long after the
 middle of its pictures' exposures, which is when they were sent, a pose was known and had arrived at
 each client (from `--after` seconds on); and the cores that each process took, so that the servers'
-share can be told apart. A viewer takes half a core by itself; `--no-viewer` goes without.
+share can be told apart; what showing takes, in a browser or a window, is in none.
 """
 
 from __future__ import annotations
@@ -101,21 +101,13 @@ def main() -> None:
     given = parser.parse_args()
     context = multiprocessing.get_context("spawn")
     ours, told = context.Pipe()
-    server = context.Process(target=_serve, args=(given.session, given.rate, told), daemon=True)
-    server.start()
+    context.Process(target=_serve, args=(given.session, given.rate, told), daemon=True).start()
     served = ours.recv()
-    over, sinks, outs = context.Event(), [address(one) for one in given.sink], []
-    for one in sinks:
-        ready, out = context.Event(), context.Queue()
-        context.Process(target=receive, args=(one, over, ready, out), daemon=True).start()
-        outs.append(out)
-        ready.wait(60.0)
-    words = [word for one in sinks for word in ("--send", one)]
     begun_s = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch, _viewing(not given.no_viewer) as (more, viewed):
-        words += ["--seconds", f"{given.seconds:g}", *more]
-        end = measured(given.session, served, Path(scratch), words)
-    over.set()
+        more += ["--seconds", f"{given.seconds:g}"]
+        with _receiving(given.sink) as (words, received):
+            end = measured(given.session, served, Path(scratch), [*words, *more])
     ours.send(None)
     whole_s = time.monotonic() - begun_s
     picture = cv2.imread(str(next((given.session).glob("*/*.jpg"))))
@@ -124,12 +116,28 @@ def main() -> None:
         f"{end['frame_sets']} frame sets, {end['overtaken']} left out, {end['ok']} poses believed, "
         f"{end['flagged']} flagged"
     )
-    for name, out in zip(given.sink, outs, strict=True):
-        print(f"{name:10}{_delays(out.get(timeout=60.0), given.after)}")
+    for name, some in zip(given.sink, received, strict=True):
+        print(f"{name:10}{_delays(some, given.after)}")
     print(
         f"cores: measure live {end['cores']:.2f}, with its start; server "
         f"{ours.recv() / whole_s:.2f}; viewer {viewed[0] / whole_s:.2f}"
     )
+
+
+@contextmanager
+def _receiving(sinks: Sequence[str]) -> Iterator[tuple[list[str], list[Any]]]:
+    """The words that send to clients of sinks, and when it has ended what each received."""
+    context, received = multiprocessing.get_context("spawn"), list[Any]()
+    over, words, outs = context.Event(), list[str](), list[Any]()
+    for one in map(address, sinks):
+        ready, out = context.Event(), context.Queue()
+        context.Process(target=receive, args=(one, over, ready, out), daemon=True).start()
+        ready.wait(60.0)
+        words += ["--send", one]
+        outs.append(out)
+    yield words, received
+    over.set()
+    received += [out.get(timeout=60.0) for out in outs]
 
 
 def _delays(received: Sequence[Any], after_s: float) -> str:
