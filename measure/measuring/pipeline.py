@@ -11,7 +11,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import MeasureError
 from measure.host import Detector, PoseSolver, Triangulator
-from measure.measuring import plugin_calls, time_alignment
+from measure.measuring import plugin_calls
 from measure.measuring.body_scale import ScaleMonitor
 from measure.measuring.duplicate_images import DuplicateImages
 from measure.measuring.measurement import Draft, Measurement, Status
@@ -68,8 +68,6 @@ class Pipeline:
         self.stages.tracker.warm_up()
         plugin_calls.warm_up("triangulator", self.stages.triangulator)
         plugin_calls.warm_up("solver", self.stages.solver)
-        for camera in self.cameras[:1]:
-            time_alignment.warm_up(self.body, camera)
 
     def measure(self, frame_sets: Iterable[FrameSet]) -> Generator[Measurement]:
         """Measure frame sets in order of time; yields one measurement for each, in order.

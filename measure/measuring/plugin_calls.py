@@ -5,7 +5,8 @@ The checks are those that cost next to nothing: types, shapes and finite numbers
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from math import isfinite
 
 from measure.arrays import Floats
@@ -25,7 +26,7 @@ def detections(
     detector: Detector, image: Image, expected: Sequence[Expectation], body: Body
 ) -> list[Detection]:
     """What a detector finds in an image; PluginError if it fails, or its result is invalid."""
-    try:
+    with _checked("detector", detector, f"camera '{image.camera}', frame {image.frame}"):
         found = detector.detect(image, expected)
         _check_type(found, list)
         for one in found:
@@ -35,11 +36,6 @@ def detections(
                 raise _InvalidResultError(f"a ball '{one.ball}' in camera '{one.camera}'")
             if not (isfinite(one.radius_px) and isfinite(one.time_s)):
                 raise _InvalidResultError(f"a radius of {one.radius_px} px at {one.time_s} s")
-    except MeasureError:
-        raise
-    except Exception as error:
-        place = f"camera '{image.camera}', frame {image.frame}"
-        raise _error("detector", detector, place, error) from error
     return found
 
 
@@ -51,16 +47,12 @@ def positions(
     time_s: float,
 ) -> list[BallPosition]:
     """Positions by a triangulator, in the order of the body's balls; PluginError if it fails."""
-    try:
+    with _checked("triangulator", triangulator, f"at {time_s:.6f} s"):
         found = triangulator.triangulate_all(seen, cameras)
         for one in found:
             _check_type(one, BallPosition)
             _check_numbers(one.center, one.covariance, 3)
         return sorted(found, key=lambda position: body.index(position.ball))
-    except MeasureError:
-        raise
-    except Exception as error:
-        raise _error("triangulator", triangulator, f"at {time_s:.6f} s", error) from error
 
 
 def pose(
@@ -72,7 +64,7 @@ def pose(
     prior: Motion | None,
 ) -> Pose | None:
     """The body's pose by a solver; None if it finds none; PluginError if it fails."""
-    try:
+    with _checked("solver", solver, f"at {time_s:.6f} s"):
         found = solver.solve(located, seen, cameras, time_s, prior)
         if found is not None:
             _check_type(found, Pose)
@@ -80,11 +72,21 @@ def pose(
             _check_numbers(place.translation, found.covariance, 6)
             if not isfinite(place.rotation.sum()):
                 raise _InvalidResultError(f"a pose turned by {place.rotation.tolist()}")
+    return found
+
+
+@contextmanager
+def _checked(kind: str, plugin: Plugin, place: str) -> Iterator[None]:
+    """Name the plugin in whatever but a `MeasureError` its call or the check of it raises."""
+    try:
+        yield
     except MeasureError:
         raise
+    except _InvalidResultError as error:
+        nonsense = f"{kind} '{plugin.name}' answers nonsense ({place}): {error}"
+        raise PluginError(nonsense) from error
     except Exception as error:
-        raise _error("solver", solver, f"at {time_s:.6f} s", error) from error
-    return found
+        raise failure(kind, plugin, place, error) from error
 
 
 class _InvalidResultError(Exception):
@@ -101,10 +103,3 @@ def _check_numbers(place: Floats, covariance: Floats, size: int) -> None:
         raise _InvalidResultError(f"arrays of shape {place.shape} and {covariance.shape}")
     if not isfinite(sum(place.tolist(), sum(covariance.ravel().tolist()))):
         raise _InvalidResultError(f"{place.tolist()} with the covariance {covariance.tolist()}")
-
-
-def _error(kind: str, plugin: Plugin, place: str, error: Exception) -> PluginError:
-    """A plugin's failure in one line."""
-    if isinstance(error, _InvalidResultError):
-        return PluginError(f"{kind} '{plugin.name}' answers nonsense ({place}): {error}")
-    return failure(kind, plugin, place, error)

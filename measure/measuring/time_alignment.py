@@ -8,14 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.compiling import compiled
 from measure.estimation.pose_fit import PoseObservations
 from measure.geometry import RigidTransform, propagate, skew
-from measure.geometry.rotation_kernels import apply_matrix, turned
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose
-from measure.model.observations import State
-from measure.model.rig import RigRows
-from measure.model.rig_kernels import project_one
 
 _SYSTEMATIC_PX = 0.3
 """Systematic error of a detection, added to its noise: it limits differences of their weights."""
@@ -132,49 +127,6 @@ class FrameSetObservations:
     def _pixels(self, world_from_body: RigidTransform, moved: Floats) -> Floats:
         """Pixels (n, 2) of the balls if the body has moved by (n, 6) in each image."""
         assert self.rows is not None
-        s = self.rows
-        return moved_pixels(
-            s.rig.rows,
-            s.points_body,
-            np.ascontiguousarray(world_from_body.rotation),
-            np.ascontiguousarray(world_from_body.translation),
-            moved,
-        )
-
-
-def warm_up(body: Body, camera: Camera) -> None:
-    """Compile the loops, or load them, by moving balls out of view to one instant."""
-    seen = [
-        Detection(ball.name, camera.name, float(i), np.zeros(2), 1.0, np.eye(2))
-        for i, ball in enumerate(body.balls)
-    ]
-    views = [BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in seen]
-    pose = Pose(0.0, RigidTransform.identity(), np.eye(6), 0.0, 0.0, (), ())
-    moving = Motion(pose.world_from_body, 0.0, np.zeros(6), velocity_covariance=np.eye(6))
-    all_seen = FrameSetObservations.of(views, 0.0, body, {camera.name: camera})
-    all_seen.at_instant(moving)
-    all_seen.residuals_px(pose, moving)
-
-
-@compiled
-def moved_pixels(
-    rig: RigRows, points_body: Floats, rotation: Floats, translation: Floats, moved: Floats
-) -> Floats:
-    """Pixels (n, 2) of n points of a body; NaN for points without an image.
-
-    Args:
-        rig: the n cameras.
-        points_body: (n, 3).
-        rotation: (3, 3) of world_from_body.
-        translation: (3,) the same.
-        moved: (n, 6) displacement of the body from there in each image, mm and rad.
-    """
-    out, by_point, place = np.empty((len(rig.lenses), 2)), np.empty((2, 3)), np.empty(3)
-    for i in range(len(rig.lenses)):
-        arm = apply_matrix(rotation, points_body[i])
-        x, y, z = turned(moved[i, 3], moved[i, 4], moved[i, 5], arm)
-        place[0] = x + translation[0] + moved[i, 0]
-        place[1] = y + translation[1] + moved[i, 1]
-        place[2] = z + translation[2] + moved[i, 2]
-        project_one(rig, i, place, out[i], by_point)
-    return out
+        arms, way = world_from_body.rotate(self.rows.points_body), world_from_body.translation
+        turned = RigidTransform.from_rotvec(moved[:, 3:], moved[:, :3]).apply(arms)
+        return self.rows.rig.project(turned + way)[0]

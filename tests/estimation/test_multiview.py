@@ -14,7 +14,6 @@ from measure.estimation.point_fit import nearest_to_rays
 from measure.estimation.pose_fit import fit_pose
 from measure.geometry import RigidTransform, propagate
 from measure.geometry.rays import MIN_PARALLAX_RAD
-from measure.measuring import time_alignment
 from measure.measuring.time_alignment import FrameSetObservations
 from measure.model import BallView, Camera, Detection, Intrinsics, Motion, Pose, Rig
 from measure.model.observations import State
@@ -159,7 +158,6 @@ def test_balls_without_an_image_say_nothing_of_a_velocity() -> None:
         shares.append(seen.motion_covariance(pose, _moving(pose, np.zeros(6), **known)))
     assert np.max(shares[0]) > 0
     np.testing.assert_array_equal(shares[1], shares[0])
-    time_alignment.warm_up(RAVEN, away)
 
 
 def _lone(name: str, z_mm: float) -> Camera:

@@ -20,13 +20,12 @@ from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
 from measure.measuring.association.candidates import BallPoints, Candidates, by_ball, intersect_rays
 from measure.measuring.association.hypotheses import (
-    CandidateRows,
     PoseScores,
+    centers_of,
     lie_on_body,
     poses_from_pairs,
     poses_from_triples,
     score_poses,
-    stack_candidates,
 )
 from measure.measuring.association.second_body import second_body_flags
 from measure.model import Body, Camera, Detection, Rig
@@ -70,10 +69,10 @@ class _AssociationProblem:
     body: Body
     cameras: Sequence[Camera]
     candidates: Sequence[Candidates]
-    stacked: CandidateRows
 
     def score(self, poses: RigidTransform) -> PoseScores:
-        return score_poses(poses, self.body, self.cameras, self.stacked, _RANGE_RATIO)
+        limits_px = [_SIGMAS * np.hypot(some.sd_px, _EXTRA_PX) for some in self.candidates]
+        return score_poses(poses, self.body, self.cameras, self.candidates, limits_px, _RANGE_RATIO)
 
     def chosen(self, agreeing: PoseScores, row: int) -> list[Detection]:
         return [
@@ -89,8 +88,7 @@ def associate(
 ) -> Association:
     """Find the body by candidates, several per ball and wrong ones too; colours may repeat."""
     candidates = by_ball(detections, body.balls, cameras)
-    stacked = stack_candidates(candidates, _SIGMAS, _EXTRA_PX)
-    problem = _AssociationProblem(body, cameras, candidates, stacked)
+    problem = _AssociationProblem(body, cameras, candidates)
     points = [intersect_rays(c, _SIGMAS, _RANGE_RATIO, _MAX_POINTS) for c in candidates]
     for propose in (poses_from_triples, poses_from_pairs):
         found = _best(problem, propose(body, points, _SIGMAS))
@@ -176,7 +174,7 @@ def _different(
     problem: _AssociationProblem, poses: RigidTransform, rough: PoseScores, order: Sequence[int]
 ) -> list[int]:
     """The best poses, as rows, that differ from each other and have enough candidates."""
-    centers = problem.body.centers @ np.swapaxes(poses.rotation, 1, 2) + poses.translation[:, None]
+    centers = centers_of(problem.body, poses)
     kept: list[int] = []
     floor = 0.5 * _RIVAL_SCORE * float(np.max(rough.score))
     enough = (rough.count >= MIN_VIEWS) & (rough.score >= floor)
@@ -270,18 +268,16 @@ def _why_none(body: Body, candidates: Sequence[Candidates], points: Sequence[Bal
     return "no three candidates are as far apart as the body's balls"
 
 
-def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
-    """Compile the loops of a search, or load them, by running them on no candidates at all."""
-    candidates = by_ball({}, body.balls, cameras)
-    points = [intersect_rays(c, _SIGMAS, _RANGE_RATIO, _MAX_POINTS) for c in candidates]
-    poses_from_triples(body, points, _SIGMAS)
-    nowhere = RigidTransform(np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    stacked = stack_candidates(candidates, _SIGMAS, _EXTRA_PX)
-    score_poses(nowhere, body, cameras, stacked, _RANGE_RATIO)
-    second_body_flags(RigidTransform.identity(), body, cameras, candidates, _SIGMAS)
-    one = np.zeros(1, np.int64)
+def warm_up(cameras: Sequence[Camera]) -> None:
+    """Compile the loops of a search, or load them, by running them on one candidate."""
     seen = PoseObservations(
-        Rig.of(cameras[:1]), np.zeros((1, 3)), one, np.zeros((1, 2)), np.eye(2)[None], np.zeros(1)
+        Rig.of(cameras[:1]),
+        np.zeros((1, 3)),
+        np.zeros(1, np.int64),
+        np.zeros((1, 2)),
+        np.eye(2)[None],
+        np.zeros(1),
     )
+    seen.rig.rays(seen.pixels)
     with contextlib.suppress(DegenerateGeometryError):
         fit_pose(RigidTransform.identity(), seen)

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
-from measure.compiling import compiled
 from measure.model import Ball, Camera, Detection, Rig
 from measure.model.rig_kernels import ray_rows
 
@@ -68,7 +67,15 @@ def intersect_rays(
         range_ratio: largest error, as a factor, of the distance that an outline's size implies.
         max_points: keep this many, those that most cameras see.
     """
-    points, sd, support = intersections(candidates.rays, sigmas, range_ratio)
+    rays = candidates.rays
+    member = consistent_sets(rays, sigmas, range_ratio)
+    weights = np.where(member, 1 / (rays.angle_sd * rays.range_mm) ** 2, 0.0)
+    toward = np.nan_to_num(rays.directions)
+    across = np.eye(3) - toward[:, :, None] * toward[:, None]
+    covariance = np.linalg.inv(np.tensordot(weights, across, 1))
+    right = weights @ np.einsum("nij,nj->ni", across, rays.origins)
+    points = np.einsum("kij,kj->ki", covariance, right)
+    sd, support = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3), member.sum(axis=1)
     order = np.argsort(-support, kind="stable")[:max_points]
     return BallPoints(points[order], sd[order], support[order])
 
@@ -108,7 +115,6 @@ def _candidates(
     return Candidates(detections, pixels, sd, rays)
 
 
-@compiled
 def consistent_sets(rays: CandidateRays, sigmas: float, range_ratio: float) -> Bools:
     """Sets of the n candidates that see a common point, from every two whose rays intersect.
 
@@ -117,120 +123,43 @@ def consistent_sets(rays: CandidateRays, sigmas: float, range_ratio: float) -> B
         range_ratio: see `intersect_rays`.
 
     Returns:
-        (k, n), each row different from the others, at most one candidate of a camera in each.
+        (k, n), each row different from the others: the two, and of each camera the nearest ray.
     """
-    cameras, origins, directions, range_mm, angle_sd = rays
-    n = len(cameras)
-    member, count = np.zeros((n * n, n), np.bool_), 0
-    point = np.empty(3)
-    for i in range(n):
-        for j in range(n):
-            if cameras[i] >= cameras[j]:
-                continue
-            s, t, sine2 = _feet(origins[i], directions[i], origins[j], directions[j])
-            if not (sine2 > _MIN_SQUARED_SINE and s > 0 and t > 0):
-                continue
-            gap = 0.0
-            for a in range(3):
-                one = origins[i, a] + s * directions[i, a]
-                other = origins[j, a] + t * directions[j, a]
-                gap += (one - other) ** 2
-                point[a] = (one + other) / 2
-            limit = sigmas * np.hypot(s * angle_sd[i], t * angle_sd[j]) + _MIN_GATE_MM
-            fits = _in_range(s, range_mm[i], range_ratio) and _in_range(t, range_mm[j], range_ratio)
-            if not (np.sqrt(gap) < limit and fits):
-                continue
-            row = member[count]
-            row[:] = False
-            _mark_consistent(point, rays, sigmas, range_ratio, row)
-            row[i] = row[j] = True
-            count += _is_new(member, count)
-    return member[:count]
+    i, j = np.nonzero(rays.cameras[:, None] < rays.cameras)
+    o1, d1, o2, d2 = rays.origins[i], rays.directions[i], rays.origins[j], rays.directions[j]
+    cosine, depth1, depth2 = (
+        np.einsum("pa,pa->p", a, b) for a, b in ((d1, d2), (o2 - o1, d1), (o2 - o1, d2))
+    )
+    sine2 = np.maximum(1 - cosine**2, 1e-12)
+    s, t = (depth1 - cosine * depth2) / sine2, (cosine * depth1 - depth2) / sine2
+    one, other = o1 + s[:, None] * d1, o2 + t[:, None] * d2
+    limit = sigmas * np.hypot(s * rays.angle_sd[i], t * rays.angle_sd[j]) + _MIN_GATE_MM
+    meet = (sine2 > _MIN_SQUARED_SINE) & (s > 0) & (t > 0)
+    meet &= np.linalg.norm(one - other, axis=1) < limit
+    meet &= _in_range(s, rays.range_mm[i], range_ratio)
+    meet &= _in_range(t, rays.range_mm[j], range_ratio)
+    member = _nearest_of_each(((one + other) / 2)[meet], rays, sigmas, range_ratio)
+    member[np.arange(len(member)), i[meet]] = member[np.arange(len(member)), j[meet]] = True
+    _, first = np.unique(member, axis=0, return_index=True)
+    return member[np.sort(first)]
 
 
-@compiled
-def _feet(o1: Floats, d1: Floats, o2: Floats, d2: Floats) -> tuple[float, float, float]:
-    """Distances along two rays to their common perpendicular; squared sine of their angle."""
-    cosine, depth1, depth2 = 0.0, 0.0, 0.0
-    for a in range(3):
-        cosine += d1[a] * d2[a]
-        depth1 += (o2[a] - o1[a]) * d1[a]
-        depth2 += (o2[a] - o1[a]) * d2[a]
-    sine2 = max(1 - cosine**2, 1e-12)
-    return (depth1 - cosine * depth2) / sine2, (cosine * depth1 - depth2) / sine2, sine2
+def _in_range(distance: Floats, expected: Floats, ratio: float) -> Bools:
+    return np.asarray((distance < expected * ratio) & (distance * ratio > expected))
 
 
-@compiled
-def _in_range(distance: float, expected: float, ratio: float) -> bool:
-    return distance < expected * ratio and distance * ratio > expected
-
-
-@compiled
-def _mark_consistent(
-    point: Floats, rays: CandidateRays, sigmas: float, range_ratio: float, row: Bools
-) -> None:
-    """Mark in `row` (n,) the rays that pass a point (3,): of each camera at most the nearest."""
-    cameras, origins, directions, range_mm, angle_sd = rays
-    n = len(cameras)
-    nearest = np.full(np.max(cameras) + 1, 1.0)
-    best = np.full(len(nearest), -1)
-    for k in range(n):
-        x, y, z = point[0] - origins[k, 0], point[1] - origins[k, 1], point[2] - origins[k, 2]
-        distance = np.sqrt(x * x + y * y + z * z)
-        if not _in_range(distance, range_mm[k], range_ratio):
-            continue
-        dx, dy, dz = directions[k]
-        off = np.sqrt((y * dz - z * dy) ** 2 + (z * dx - x * dz) ** 2 + (x * dy - y * dx) ** 2)
-        scaled = off / (sigmas * distance * angle_sd[k] + _MIN_GATE_MM)
-        if scaled < nearest[cameras[k]]:
-            nearest[cameras[k]] = scaled
-            best[cameras[k]] = k
-    for k in best:
-        if k >= 0:
-            row[k] = True
-
-
-@compiled
-def _is_new(member: Bools, count: int) -> bool:
-    """Whether row `count` differs from all rows above it."""
-    equal = 0
-    for k in range(count):
-        equal += int(np.all(member[k] == member[count]))
-    return equal == 0
-
-
-@compiled
-def intersections(
-    rays: CandidateRays, sigmas: float, range_ratio: float
-) -> tuple[Floats, Floats, Ints]:
-    """Least-squares points of each set of candidates whose rays intersect.
-
-    Args:
-        sigmas: see `intersect_rays`.
-        range_ratio: see `intersect_rays`.
-
-    Returns:
-        Points (k, 3), their standard deviations (k,) in mm, and how many rays (k,).
-    """
-    member = consistent_sets(rays, sigmas, range_ratio)
-    origins, directions = rays.origins, rays.directions
-    sd_mm = rays.angle_sd * rays.range_mm
-    m, n = member.shape
-    points, sd, support = np.empty((m, 3)), np.empty(m), np.zeros(m, np.int64)
-    normal, right = np.empty((3, 3)), np.empty(3)
-    for k in range(m):
-        normal[:], right[:] = 0.0, 0.0
-        for i in range(n):
-            if not member[k, i]:
-                continue
-            support[k] += 1
-            weight = 1 / sd_mm[i] ** 2
-            for a in range(3):
-                for b in range(3):
-                    across = (a == b) - directions[i, a] * directions[i, b]
-                    normal[a, b] += weight * across
-                    right[a] += weight * across * origins[i, b]
-        covariance = np.linalg.inv(normal)
-        points[k] = covariance @ right
-        sd[k] = np.sqrt((covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3)
-    return points, sd, support
+def _nearest_of_each(
+    points: Floats, rays: CandidateRays, sigmas: float, range_ratio: float
+) -> Bools:
+    """Which rays (k, n) pass points (k, 3): of each camera at most the nearest."""
+    away, each = points[:, None] - rays.origins, np.arange(len(points))
+    distance = np.linalg.norm(away, axis=2)
+    off = np.linalg.norm(np.cross(away, rays.directions), axis=2)
+    share = off / (sigmas * distance * rays.angle_sd + _MIN_GATE_MM)
+    passes = (share < 1) & _in_range(distance, rays.range_mm, range_ratio)
+    share, out = np.where(passes, share, np.inf), np.zeros(share.shape, np.bool_)
+    for camera in np.unique(rays.cameras):
+        own = np.flatnonzero(rays.cameras == camera)
+        best = own[np.argmin(share[:, own], axis=1)]
+        out[each, best] = passes[each, best]
+    return out

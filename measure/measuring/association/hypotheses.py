@@ -6,86 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
-from measure.compiling import compiled
 from measure.geometry import RigidTransform
 from measure.measuring.association.candidates import BallPoints, Candidates
 from measure.model import Body, Camera, Rig
-from measure.model.rig import RigRows
-from measure.model.rig_kernels import project_one
-
-
-class CandidateRows(NamedTuple):
-    """The candidates of all balls as arrays of n rows, one ball's after the other's."""
-
-    starts: Ints  # (balls + 1,) first row of each ball's
-    cameras: Ints  # (n,) index of the camera
-    pixels: Floats  # (n, 2)
-    limit_px: Floats  # (n,) the furthest that a candidate may be from where a pose puts its ball
-    range_mm: Floats  # (n,) distance that the outline's radius implies
-
-
-@compiled
-def agreement(
-    rotations: Floats,
-    translations: Floats,
-    centers_body: Floats,
-    rig: RigRows,
-    corners: Floats,
-    candidates: CandidateRows,
-    range_ratio: float,
-) -> tuple[Ints, Ints, Floats]:
-    """Compare the balls of m poses, projected, with the candidates by place and size.
-
-    Args:
-        rotations: (m, 3, 3) of world_from_body.
-        translations: (m, 3).
-        centers_body: (balls, 3).
-        corners: (cameras, 2) last pixel of each picture.
-        candidates: n of them.
-        range_ratio: largest error, as a factor, of the distance that an outline's size implies.
-
-    Returns:
-        Row of the agreeing candidate among those of its ball, or -1 (m, balls, cameras); number of
-        balls in view, over all cameras (m,); score (m,), see `hypotheses.PoseScores`.
-    """
-    m, balls, views = len(rotations), len(centers_body), len(rig.lenses)
-    starts, cameras, pixels, limit_px, range_mm = candidates
-    chosen = np.full((m, balls, views), -1)
-    expected, score = np.zeros(m, np.int64), np.zeros(m)
-    center, pixel, by_point = np.empty(3), np.empty(2), np.empty((2, 3))
-    for row in range(m):
-        for camera in range(views):
-            for ball in range(balls):
-                away2 = 0.0
-                for a in range(3):
-                    center[a] = translations[row, a]
-                    for b in range(3):
-                        center[a] += rotations[row, a, b] * centers_body[ball, b]
-                    away2 += (center[a] - rig.centers[camera, a]) ** 2
-                project_one(rig, camera, center, pixel, by_point)
-                u, v = pixel[0], pixel[1]
-                if u >= 0 and v >= 0 and u <= corners[camera, 0] and v <= corners[camera, 1]:
-                    expected[row] += 1
-                away, least = np.sqrt(away2), 1.0
-                for k in range(starts[ball], starts[ball + 1]):
-                    expected_mm = range_mm[k]
-                    if cameras[k] != camera:
-                        continue
-                    if away > expected_mm * range_ratio or expected_mm > away * range_ratio:
-                        continue
-                    share = np.hypot(u - pixels[k, 0], v - pixels[k, 1]) / limit_px[k]
-                    if share < least:
-                        least = share
-                        chosen[row, ball, camera] = k - starts[ball]
-                if least < 1:
-                    score[row] += 1 - least**2
-    return chosen, expected, score
-
 
 _MAX_TRIPLES = 400
 _MAX_PAIRS = 20
@@ -123,20 +50,6 @@ def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) ->
     return _joined(found)
 
 
-def stack_candidates(
-    candidates: Sequence[Candidates], sigmas: float, extra_px: float
-) -> CandidateRows:
-    """Stack the candidates of every ball, with gates of `sigmas` standard deviations."""
-    sd_px = np.concatenate([c.sd_px for c in candidates])
-    return CandidateRows(
-        np.cumsum([0, *map(len, candidates)]),
-        np.concatenate([c.rays.cameras for c in candidates]),
-        np.concatenate([c.pixels for c in candidates]),
-        sigmas * np.hypot(sd_px, extra_px),
-        np.concatenate([c.rays.range_mm for c in candidates]),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class PoseScores:
     """Agreement of candidates with m poses."""
@@ -155,22 +68,43 @@ def score_poses(
     poses: RigidTransform,
     body: Body,
     cameras: Sequence[Camera],
-    candidates: CandidateRows,
+    candidates: Sequence[Candidates],
+    limits_px: Sequence[Floats],
     range_ratio: float,
 ) -> PoseScores:
-    """Compare the balls of m poses, projected, with the candidates by place and size."""
-    rig = Rig.of(cameras)
-    return PoseScores(
-        *agreement(
-            np.ascontiguousarray(poses.rotation),
-            np.ascontiguousarray(poses.translation),
-            body.centers,
-            rig.rows,
-            np.array([c.intrinsics.size_wh for c in cameras]) - 1.0,
-            candidates,
-            range_ratio,
-        )
-    )
+    """Compare the balls of m poses, projected, with the candidates by place and size.
+
+    Args:
+        candidates: of every ball.
+        limits_px: (n,) of each ball's, how far one may be from where a pose puts the ball.
+        range_ratio: largest error, as a factor, of the distance that an outline's size implies.
+    """
+    centers = centers_of(body, poses)
+    m = len(centers)
+    chosen, every = np.full((m, len(candidates), len(cameras)), -1), np.arange(m)
+    expected, score = np.zeros(m, np.int64), np.zeros(m)
+    for c, camera in enumerate(cameras):
+        pixels = camera.project(centers.reshape(-1, 3)).reshape(m, -1, 2)
+        expected += camera.intrinsics.contains(pixels).sum(axis=1)
+        away = np.linalg.norm(centers - camera.center, axis=2)
+        for ball, (some, limit_px) in enumerate(zip(candidates, limits_px, strict=True)):
+            rows = np.flatnonzero(some.rays.cameras == c)
+            if not len(rows):
+                continue
+            error = np.abs(np.log(some.rays.range_mm[rows] / away[:, ball, None]))
+            off = np.linalg.norm(pixels[:, ball, None] - some.pixels[rows], axis=2)
+            share = off / limit_px[rows]
+            share = np.where((share < 1) & (error <= np.log(range_ratio)), share, 1.0)
+            best = np.argmin(share, axis=1)
+            least = share[every, best]
+            chosen[least < 1, ball, c] = rows[best[least < 1]]
+            score += 1 - least**2
+    return PoseScores(chosen, expected, score)
+
+
+def centers_of(body: Body, poses: RigidTransform) -> Floats:
+    """The balls' centres (m, balls, 3) in the world, by m poses."""
+    return body.centers @ np.swapaxes(poses.rotation, 1, 2) + poses.translation[:, None]
 
 
 def lie_on_body(

@@ -9,16 +9,14 @@ autoregression, as in Singer 1970).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from measure.arrays import Floats
-from measure.compiling import compiled
-from measure.geometry import RigidTransform
-from measure.geometry.linear_kernels import inverse
-from measure.geometry.rotation_kernels import rotation_of, rotvec_of
+from measure.geometry import RigidTransform, propagate
 from measure.model import Motion, Pose
 
 _PRIOR_WEIGHT = 0.5
@@ -27,6 +25,7 @@ _MIN_VARIANCE_RATIO = 1 / 64
 """Least variance of the acceleration, of the configured one: a body at rest may start to move."""
 _MAX_VARIANCE_RATIO = 16
 """Largest variance of the acceleration, of the configured one: more is taken for an error."""
+_TINY = 1e-300  # Least variance that is divided by
 
 
 class Kinematics(NamedTuple):
@@ -44,150 +43,51 @@ class AccelerationMoments(NamedTuple):
     square: Floats  # (6, 6) mean of a a^T; zero if none was observed
     product: Floats  # (6,) mean product of each with the one before
 
+    def with_observation(self, observed: Floats, weight: float) -> AccelerationMoments:
+        """The moments with one more acceleration (6,) of a weight."""
+        square = self.square + weight * (np.outer(observed, observed) - self.square)
+        product = self.product + weight * (observed * self.last - self.product)
+        return AccelerationMoments(observed, square, product)
 
-class FilterState(NamedTuple):
-    """The state of the filter."""
+    def expected(self) -> Floats:
+        """The acceleration (6,) to expect: the last one times the autocorrelation in [0, 1]."""
+        observed = self.product / np.maximum(self.square.diagonal(), _TINY)
+        correlation = (observed + _PRIOR_WEIGHT) / (1 + _PRIOR_WEIGHT)
+        return np.clip(correlation, 0.0, 1.0) * self.last
 
-    rotation: Floats  # (3, 3) of world_from_body
-    translation: Floats  # (3,) the same, mm
-    kinematics: Kinematics
-    covariance: Floats  # (12, 12) of pose and velocity
-    accelerations: AccelerationMoments  # observed so far
+    def variances(self, configured: Floats) -> Floats:
+        """Observed variances (6,), within bounds relative to the configured."""
+        own = self.square.diagonal()
+        low, high = _MIN_VARIANCE_RATIO * configured, _MAX_VARIANCE_RATIO * configured
+        return np.where(own > 0, np.clip(own, low, high), configured)
 
 
-@compiled
-def propagated_covariance(covariance: Floats, dt: float, variance: Floats) -> Floats:
-    """The covariance (12, 12) of pose and velocity `dt` seconds on: see `MotionState.at`.
+def propagated_covariance(covariance: Floats, dt: ArrayLike, variance: Floats) -> Floats:
+    """Covariances (..., 12, 12) of pose and velocity some seconds on: see `MotionState.at`.
 
     Args:
         covariance: (12, 12).
-        dt: s, of either sign.
+        dt: (...) s, of either sign.
         variance: (6,) of the acceleration.
     """
-    out = covariance.copy()
-    for i in range(6):
-        for j in range(12):
-            out[i, j] += dt * covariance[6 + i, j]
-    for j in range(6):
-        for i in range(12):
-            out[i, j] += dt * out[i, 6 + j]
-    for i in range(6):
-        out[i, i] += variance[i] * dt**4 / 4
-        out[6 + i, 6 + i] += variance[i] * dt**2
-        out[i, 6 + i] += variance[i] * dt**3 / 2
-        out[6 + i, i] += variance[i] * dt**3 / 2
-    return out
+    lead = np.asarray(dt, dtype=np.float64)[..., None, None]
+    by_acceleration = np.concatenate([lead**2 / 2 * np.eye(6), lead * np.eye(6)], axis=-2)
+    return propagate(np.eye(12) + lead * np.eye(12, k=6), covariance) + propagate(
+        by_acceleration, np.diag(variance)
+    )
 
 
-@compiled
-def displacement(kinematics: Kinematics, dt: float) -> tuple[Floats, Floats]:
-    """Displacement (6,) of a body within `dt` seconds, of either sign, and its velocity (6,) then.
+def displacement(kinematics: Kinematics, dt: ArrayLike) -> tuple[Floats, Floats]:
+    """Displacements (..., 6) of a body within `dt` (...) seconds, and its velocities (..., 6) then.
 
     The acceleration lasts no longer than the interval over which it was observed.
     """
-    during = min(max(dt, -kinematics.duration_s), kinematics.duration_s)
-    moved = kinematics.velocity * dt + kinematics.acceleration * (during * (dt - during / 2))
+    lead = np.asarray(dt, dtype=np.float64)[..., None]
+    during = np.clip(lead, -kinematics.duration_s, kinematics.duration_s)
+    moved = kinematics.velocity * lead + kinematics.acceleration * (during * (lead - during / 2))
     return moved, kinematics.velocity + kinematics.acceleration * during
 
 
-@compiled
-def predicted(state: FilterState, dt: float, variance: Floats) -> FilterState:
-    """The state `dt` seconds on, with constant velocity from there: see `MotionState.at`."""
-    moved, velocity = displacement(state.kinematics, dt)
-    return FilterState(
-        rotation_of(moved[3:]) @ state.rotation,
-        state.translation + moved[:3],
-        Kinematics(velocity, np.zeros(6), 0.0),
-        propagated_covariance(state.covariance, dt, variance),
-        state.accelerations,
-    )
-
-
-@compiled
-def updated(
-    state: FilterState,
-    dt: float,
-    variance: Floats,
-    measured_rotation: Floats,
-    measured_translation: Floats,
-    noise: Floats,
-    weight: float,
-) -> FilterState:
-    """The state after a measured pose.
-
-    Args:
-        dt: s from there until the measured pose.
-        variance: (6,) configured for the acceleration.
-        measured_rotation: (3, 3) of the measured world_from_body.
-        measured_translation: (3,) the same.
-        noise: (6, 6) covariance of the measured pose.
-        weight: of a new acceleration in the moments; 0 to leave them as they are.
-    """
-    there = predicted(state, dt, _observed_variances(state.accelerations.square, variance))
-    innovation = np.empty(6)
-    innovation[:3] = measured_translation - there.translation
-    innovation[3:] = rotvec_of(measured_rotation @ there.rotation.T)
-    step, covariance = kalman_step(there.covariance, noise, innovation)
-    accelerations = state.accelerations
-    if weight > 0:
-        observed = state.kinematics.acceleration + step[6:] / dt
-        accelerations = _with_observation(observed, accelerations, weight)
-    return FilterState(
-        rotation_of(step[3:6]) @ there.rotation,
-        there.translation + step[:3],
-        Kinematics(
-            there.kinematics.velocity + step[6:], _expected_acceleration(accelerations), abs(dt)
-        ),
-        covariance,
-        accelerations,
-    )
-
-
-@compiled
-def _with_observation(
-    observed: Floats, before: AccelerationMoments, weight: float
-) -> AccelerationMoments:
-    """The moments with one more acceleration (6,) of a weight."""
-    square = before.square + weight * (np.outer(observed, observed) - before.square)
-    return AccelerationMoments(
-        observed, square, before.product + weight * (observed * before.last - before.product)
-    )
-
-
-@compiled
-def _expected_acceleration(moments: AccelerationMoments) -> Floats:
-    """The acceleration (6,) to expect: the last one times the autocorrelation in [0, 1]."""
-    out = np.zeros(6)
-    for i in range(6):
-        if moments.square[i, i] > 0:
-            observed = moments.product[i] / moments.square[i, i]
-            correlation = (observed + _PRIOR_WEIGHT) / (1 + _PRIOR_WEIGHT)
-            out[i] = min(max(correlation, 0.0), 1.0) * moments.last[i]
-    return out
-
-
-@compiled
-def _observed_variances(square: Floats, variance: Floats) -> Floats:
-    """Observed variances (6,) of the acceleration, within bounds relative to the configured."""
-    out = variance.copy()
-    for i in range(6):
-        if square[i, i] > 0:
-            low, high = _MIN_VARIANCE_RATIO * variance[i], _MAX_VARIANCE_RATIO * variance[i]
-            out[i] = min(max(square[i, i], low), high)
-    return out
-
-
-@compiled
-def acceleration_bound(square: Floats, sd: Floats) -> Floats:
-    """Standard deviations (6,) of the acceleration: see `MotionState.acceleration_bound`."""
-    out = np.empty(6)
-    for i in range(6):
-        variance = sd[i] * sd[i]
-        out[i] = np.sqrt(min(max(square[i, i], variance), _MAX_VARIANCE_RATIO * variance))
-    return out
-
-
-@compiled
 def kalman_step(covariance: Floats, noise: Floats, innovation: Floats) -> tuple[Floats, Floats]:
     """The filter's change (12,) of pose and velocity, and the covariance (12, 12) after it.
 
@@ -196,10 +96,10 @@ def kalman_step(covariance: Floats, noise: Floats, innovation: Floats) -> tuple[
         noise: (6, 6) covariance of the measured pose.
         innovation: (6,) measured minus predicted pose, in the prediction's chart.
     """
-    gain = covariance[:, :6].copy() @ inverse(covariance[:6, :6] + noise)
+    gain = covariance[:, :6] @ np.linalg.inv(covariance[:6, :6] + noise)
     keep = np.eye(12)
     keep[:, :6] -= gain
-    return gain @ innovation, keep @ covariance @ keep.T + gain @ noise @ gain.T
+    return gain @ innovation, propagate(keep, covariance) + propagate(gain, noise)
 
 
 _MEMORY_S = 0.3  # Time constant of the mean over accelerations
@@ -275,12 +175,24 @@ class MotionState:
         Args:
             acceleration_sd: (6,) configured; the observed ones count where they are larger.
         """
-        return acceleration_bound(self.accelerations.square, acceleration_sd)
+        observed, variance = self.accelerations.square.diagonal(), acceleration_sd**2
+        return np.sqrt(np.clip(observed, variance, _MAX_VARIANCE_RATIO * variance))
 
     def at(self, time_s: float, acceleration_sd: Floats) -> MotionState:
-        """The prediction for another instant; (6,) sd of the acceleration in mm/s^2 and rad/s^2."""
-        state = predicted(self.filter_state(), time_s - self.time_s, acceleration_sd**2)
-        return self._with(state, time_s, self.measured)
+        """The prediction for another instant, with constant velocity from there.
+
+        Args:
+            acceleration_sd: (6,) mm/s^2 and rad/s^2.
+        """
+        dt = time_s - self.time_s
+        moved, velocity = displacement(self.kinematics, dt)
+        return replace(
+            self,
+            world_from_body=self.world_from_body.perturb(moved),
+            kinematics=constant_velocity(velocity),
+            time_s=time_s,
+            covariance=propagated_covariance(self.covariance, dt, acceleration_sd**2),
+        )
 
     def updated(self, pose: Pose, extra: Floats, acceleration_sd: Floats) -> MotionState:
         """The state after a measured pose.
@@ -290,32 +202,23 @@ class MotionState:
             extra: (6,) standard deviations added to its covariance, for systematic errors.
             acceleration_sd: (6,) configured, mm/s^2 and rad/s^2.
         """
-        measured, dt = pose.world_from_body, pose.time_s - self.time_s
-        state = updated(
-            self.filter_state(),
-            dt,
-            acceleration_sd**2,
-            np.ascontiguousarray(measured.rotation),
-            np.ascontiguousarray(measured.translation),
-            pose.covariance + np.diag(extra**2),
-            self._observation_weight(dt),
+        dt, moments = pose.time_s - self.time_s, self.accelerations
+        there = self.at(pose.time_s, np.sqrt(moments.variances(acceleration_sd**2)))
+        innovation = pose.world_from_body.difference(there.world_from_body)
+        noise = pose.covariance + np.diag(extra**2)
+        step, covariance = kalman_step(there.covariance, noise, innovation)
+        if (weight := self._observation_weight(dt)) > 0:
+            observed = self.kinematics.acceleration + step[6:] / dt
+            moments = moments.with_observation(observed, weight)
+        velocity = there.kinematics.velocity + step[6:]
+        return MotionState(
+            there.world_from_body.perturb(step[:6]),
+            Kinematics(velocity, moments.expected(), abs(dt)),
+            pose.time_s,
+            covariance,
+            moments,
+            self.measured + 1,
         )
-        return self._with(state, pose.time_s, self.measured + 1)
-
-    def filter_state(self) -> FilterState:
-        """The same for compiled code, without the time."""
-        return FilterState(
-            np.ascontiguousarray(self.world_from_body.rotation),
-            np.ascontiguousarray(self.world_from_body.translation),
-            self.kinematics,
-            self.covariance,
-            self.accelerations,
-        )
-
-    def _with(self, state: FilterState, time_s: float, measured: int) -> MotionState:
-        rotation, translation, kinematics, covariance, accelerations = state
-        pose = RigidTransform(rotation, translation)
-        return MotionState(pose, kinematics, time_s, covariance, accelerations, measured)
 
     def _observation_weight(self, dt: float) -> float:
         """Weight of one more acceleration in the moments: 1 / n, then that of the time constant."""

@@ -10,19 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Bools, Floats
-from measure.compiling import compiled
 from measure.estimation.multiview import calibration_noise
-from measure.geometry.rotation_kernels import apply_matrix, rotation_of
+from measure.geometry import RigidTransform, propagate
 from measure.measuring.tracking.predictive.motion_filter import (
-    FilterState,
     MotionState,
     displacement,
     propagated_covariance,
 )
 from measure.model import Body, Camera, Detection, Expectation, Rig
 from measure.model.observations import stacked_detections
-from measure.model.rig import RigRows
-from measure.model.rig_kernels import project_one
 
 _OUT_OF_SIGHT_PX = -1e4
 
@@ -47,106 +43,48 @@ class PredictedBalls(NamedTuple):
     max_sd_px: Floats  # (n,) largest standard deviation of the centre over all directions
 
 
-@compiled
 def predict_balls(
-    state: FilterState,
-    variance: Floats,
-    leads_s: Floats,
-    balls: Floats,
-    radii: Floats,
-    rig: RigRows,
-    readouts: Floats,
+    state: MotionState, leads_s: Floats, variance: Floats, body: Body, cameras: Sequence[Camera]
 ) -> PredictedBalls:
-    """Every ball of a moving body in every camera, at its image's time.
+    """Every ball of a moving body in every one of c cameras, at its image's time.
 
     Args:
-        variance: (6,) of the acceleration.
         leads_s: (c,) times of the images after the state's.
-        balls: (k, 3) centres in the body.
-        radii: (k,) mm.
-        rig: the c cameras.
-        readouts: (c, 2) time in s from one row to the next, and the middle row.
+        variance: (6,) of the acceleration.
     """
-    count = len(balls)
-    out = _empty_predictions(len(rig.lenses) * count)
-    by_point, toward = np.empty((2, 3)), np.empty(3)
-    for camera in range(len(rig.lenses)):
-        dt = leads_s[camera]
-        known = propagated_covariance(state.covariance, dt, variance)
-        moved, velocity = displacement(state.kinematics, dt)
-        turned = rotation_of(moved[3:]) @ state.rotation
-        for ball in range(count):
-            row = camera * count + ball
-            arm = apply_matrix(turned, balls[ball])
-            center = arm + state.translation + moved[:3]
-            pixel = out.centers_px[row]
-            project_one(rig, camera, center, pixel, by_point)
-            toward[:] = center - rig.centers[camera]
-            out.centers_camera[row] = apply_matrix(rig.rotation[camera].T, toward)
-            out.radii_px[row] = _radius_px(rig.lenses[camera], toward, radii[ball])
-            if np.isfinite(pixel[0]) and np.isfinite(pixel[1]):
-                _fill_jacobian(by_point, arm, out.jacobians[row])
-                _add_row_delay(readouts[camera], velocity, out.jacobians[row], pixel)
-            else:
-                pixel[:] = _OUT_OF_SIGHT_PX
-            _fill_covariance(row, known, out)
-    return out
-
-
-@compiled
-def _empty_predictions(n: int) -> PredictedBalls:
+    views, count = Rig.of([camera for camera in cameras for _ in body.balls]), len(body.balls)
+    moved, velocities = displacement(state.kinematics, leads_s)
+    turns = RigidTransform.from_rotvec(moved[:, 3:]).rotation
+    arms = state.world_from_body.rotate(body.centers) @ np.swapaxes(turns, 1, 2)
+    arms = arms.reshape(-1, 3)
+    moves = np.repeat(moved[:, :3], count, axis=0)
+    centers = arms + state.world_from_body.translation + moves
+    pixels, by_point = views.project(centers)
+    away = centers - views.centers
+    jacobians = np.concatenate([by_point, np.cross(arms[:, None], by_point)], axis=2)
+    unseen = np.isnan(pixels[:, 0])
+    pixels[unseen], jacobians[unseen] = _OUT_OF_SIGHT_PX, 0.0
+    row_s, middle = np.repeat(_readouts(tuple(cameras)), count, axis=0).T
+    by_time = np.einsum("nui,ni->nu", jacobians, np.repeat(velocities, count, axis=0))
+    pixels += (row_s * (pixels[:, 1] - middle))[:, None] * by_time
+    known = propagated_covariance(state.covariance, leads_s, variance)[:, :6, :6]
+    covariances = propagate(jacobians, np.repeat(known, count, axis=0))
+    radii = np.tile(body.radii, len(cameras))
+    depth = np.sqrt(np.maximum(np.sum(away**2, axis=1) - radii**2, 1.0))
     return PredictedBalls(
-        np.zeros((n, 2)),
-        np.zeros(n),
-        np.zeros((n, 3)),
-        np.zeros((n, 2, 2)),
-        np.zeros((n, 2, 6)),
-        np.zeros(n),
+        pixels,
+        views.focal_px * radii / depth,
+        np.einsum("nji,nj->ni", views.rows.rotation, away),
+        covariances,
+        jacobians,
+        _largest_sd(covariances),
     )
 
 
-@compiled
-def _radius_px(lens: Floats, toward: Floats, radius: float) -> float:
-    """The radius in px of the tangent cone's cross-section at right angles to its axis."""
-    square = toward[0] ** 2 + toward[1] ** 2 + toward[2] ** 2
-    return (lens[0] + lens[3]) / 2 * radius / np.sqrt(max(square - radius**2, 1.0))
-
-
-@compiled
-def _fill_jacobian(by_point: Floats, arm: Floats, slopes: Floats) -> None:
-    """Jacobian (2, 6) of a ball's pixel by the pose; rotations act by the arm's cross product."""
-    for u in range(2):
-        for a in range(3):
-            b, c = (a + 1) % 3, (a + 2) % 3
-            slopes[u, a] = by_point[u, a]
-            slopes[u, 3 + a] = arm[b] * by_point[u, c] - arm[c] * by_point[u, b]
-
-
-@compiled
-def _add_row_delay(readout: Floats, velocity: Floats, slopes: Floats, pixel: Floats) -> None:
-    """Move a pixel to where it is when a rolling shutter exposes its row."""
-    delay = readout[0] * (pixel[1] - readout[1])
-    for u in range(2):
-        for a in range(6):
-            pixel[u] += delay * slopes[u, a] * velocity[a]
-
-
-@compiled
-def _fill_covariance(row: int, known: Floats, out: PredictedBalls) -> None:
-    """A pixel's covariance from the pose's, and its largest standard deviation."""
-    slopes, covariance = out.jacobians[row], out.covariances_px[row]
-    for u in range(2):
-        for v in range(2):
-            total = 0.0
-            for i in range(6):
-                for j in range(6):
-                    total += slopes[u, i] * known[i, j] * slopes[v, j]
-            covariance[u, v] = total
-    half = (covariance[0, 0] - covariance[1, 1]) / 2
-    largest = (covariance[0, 0] + covariance[1, 1]) / 2 + np.sqrt(
-        half**2 + covariance[0, 1] * covariance[1, 0]
-    )
-    out.max_sd_px[row] = np.sqrt(max(largest, 0.0))
+def _largest_sd(covariances: Floats) -> Floats:
+    """Largest standard deviations (n,) over all directions, by covariances (n, 2, 2)."""
+    xx, yy, xy = covariances[:, 0, 0], covariances[:, 1, 1], covariances[:, 0, 1]
+    return np.sqrt(np.maximum((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy), 0.0))
 
 
 _DECIMALS = 7
@@ -222,15 +160,8 @@ def predict_windows(
     """
     present = tuple(camera for camera in cameras if camera.name in times_s)
     rig = Rig.of(present)
-    balls = predict_balls(
-        state.filter_state(),
-        acceleration_sd**2,
-        np.array([times_s[camera.name] - state.time_s for camera in present]),
-        body.centers,
-        body.radii,
-        rig.rows,
-        _readouts(present),
-    )
+    leads_s = np.array([times_s[camera.name] - state.time_s for camera in present])
+    balls = predict_balls(state, leads_s, acceleration_sd**2, body, present)
     noise = calibration_noise(rig, state.world_from_body.apply(body.middle))
     systematic = np.repeat(noise, len(body.balls), axis=0)
     if body.tolerance_mm:

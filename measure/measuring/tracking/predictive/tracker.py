@@ -16,7 +16,8 @@ import numpy as np
 
 from measure import model
 from measure.arrays import Floats
-from measure.geometry import RigidTransform, chi_square_quantile
+from measure.estimation.multiview import calibration_noise
+from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings, setting
 from measure.measuring import association
 from measure.measuring.association import Association, associate, second_body
@@ -26,12 +27,9 @@ from measure.measuring.tracking.predictive.gating import gate_observations
 from measure.measuring.tracking.predictive.identity import IdentityDoubt
 from measure.measuring.tracking.predictive.motion_filter import MotionState, initial_state, per_axis
 from measure.measuring.tracking.predictive.pose_checks import consistency_flags, single_view_balls
-from measure.measuring.tracking.predictive.search_windows import (
-    GatedObservations,
-    SearchWindows,
-    predict_windows,
-)
+from measure.measuring.tracking.predictive.search_windows import SearchWindows, predict_windows
 from measure.measuring.tracking.tracker import Conclusion, Review
+from measure.model import Rig
 from measure.model.observations import Reason, State
 
 _EXTRA_SD = np.repeat([0.02, 0.0005], 3)
@@ -123,8 +121,8 @@ class PredictiveTracker:
 
     def warm_up(self) -> None:
         """Compile or load the loops of searching and of tracking."""
-        association.warm_up(self._body, self._cameras)
-        _warm_up(self._body, self._cameras)
+        association.warm_up(self._cameras)
+        calibration_noise(Rig.of(self._cameras), self._body.middle)
 
     def expect(self, frame_set: model.FrameSet) -> Mapping[str, Sequence[model.Expectation]]:
         """Windows from the predicted pose at each image's own time; the whole frame without one."""
@@ -316,17 +314,3 @@ def _searched_view(
     if camera not in frame_set.images:
         reason = Reason.NO_IMAGE
     return model.BallView(ball, camera, State.SUSPENDED, reason)
-
-
-def _warm_up(body: model.Body, cameras: Sequence[model.Camera]) -> None:
-    """Compile or load the loops of tracking: a body at rest, detected where it is predicted."""
-    still, one = RigidTransform.identity(), np.ones(6)
-    state = MotionState.begin(still, np.eye(6), 0.0, one)
-    times_s = {camera.name: 0.0 for camera in cameras}
-    windows = predict_windows(state, times_s, state.acceleration_bound(one), body, cameras)
-    windows.expectations(1.0, 1.0, 0.1)
-    balls, n = windows.balls, len(windows.keys)
-    noise, now = np.tile(np.eye(2), (n, 1, 1)), np.zeros(n)
-    seen = GatedObservations(balls.centers_px, noise, now, np.ones(n, np.bool_))
-    gate_observations(seen, np.arange(n), balls, state.covariance, 0.0, one, 0.5, 1.0)
-    state.updated(model.Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ()), one, one)
