@@ -153,8 +153,7 @@ def _locate_all(
         if observed is not None:
             marks[name] = observed
             if name in seen:
-                apart_mm = check_board_against_marks(start, seen, markers, observed)
-                disagreement_mm[name] = apart_mm
+                disagreement_mm[name] = check_board_against_marks(start, seen, markers, observed)
     places = [one.world_from_board.apply(one.points) for one in seen.values()]
     rough = RigCalibration(
         tuple(starts),

@@ -13,9 +13,9 @@ def fit(
     """Fit an estimator; FitError if it fails.
 
     An exception raised by `report` (to end a fit, say) is raised unchanged, also where the
-    estimator raises another one after it.
+    estimator raises another one from it.
     """
-    raised: list[Exception] = []
+    raised: list[BaseException] = []
 
     def tracked(done: float, what: str) -> None:
         share = min(max(0.0, float(done)), 1.0)
@@ -28,8 +28,21 @@ def fit(
     try:
         estimator.fit(data, validation, seed=seed, report=tracked)
     except Exception as error:
-        if raised:
-            raise raised[-1] from None
-        if isinstance(error, MeasureError):
+        theirs = next((one for one in _with_causes(error) if one in raised), None)
+        if theirs is None and not isinstance(error, MeasureError):
+            raise FitError(str(failure("estimator", estimator, "fitting", error))) from error
+        if theirs is None or theirs is error:
             raise
-        raise FitError(str(failure("estimator", estimator, "fitting", error))) from error
+    else:
+        return
+    raise theirs
+
+
+def _with_causes(error: BaseException) -> list[BaseException]:
+    """An exception and what it was raised from, the latest first."""
+    found: list[BaseException] = []
+    at: BaseException | None = error
+    while at is not None and at not in found:
+        found.append(at)
+        at = at.__cause__ or at.__context__
+    return found
