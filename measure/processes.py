@@ -25,6 +25,10 @@ class Progress(Protocol):
         """Show or note it."""
 
 
+def quiet(done: int, total: int | None) -> None:
+    """Progress that nobody looks at."""
+
+
 def processes(count: int | None = None) -> ProcessPoolExecutor:
     """A pool of new processes, as many as there are cores by default.
 

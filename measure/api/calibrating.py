@@ -22,7 +22,7 @@ from measure.calibration import (
 )
 from measure.errors import ConfigError
 from measure.model import paper_body
-from measure.processes import Progress
+from measure.processes import Progress, quiet
 from measure.session import Calibration, check_unit, read_body, write_calibration
 from measure.session.calibrations import Format
 
@@ -44,7 +44,7 @@ def calibrate(
     capture: Path | str,
     method: Method = "joint",
     body: Path | str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> CalibrationResult:
     """Calibrate the cameras of a capture folder and judge the result.
 
@@ -72,7 +72,7 @@ def calibrate_to(
     capture: Path,
     method: Method = "joint",
     body: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     *,
     file_format: Format = "triball",
     report: Path | None = None,

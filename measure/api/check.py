@@ -50,7 +50,7 @@ from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
-from measure.processes import Progress
+from measure.processes import Progress, quiet
 from measure.session import Session, holds_jpeg, open_session, session_lacks
 
 _REACH_MM = 40.0
@@ -99,7 +99,7 @@ def check(
     body: Path | None = None,
     samples: int = 24,
     clock_samples: int = 120,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> SessionCheck:
     """Find what is wrong or weak in a recording; without a body or a calibration, in its files.
 
@@ -225,7 +225,7 @@ class _Looking:
     profile: Profile
     samples: int
     clock_samples: int
-    progress: Progress | None
+    progress: Progress
 
     def __post_init__(self) -> None:
         warm_pipeline(self.profile, self.registry, self.session.body, self.session.cameras)
@@ -301,8 +301,7 @@ class _Looking:
 
     def step(self) -> None:
         """Count what is done: a frame set, or one damaged picture looked for in all cameras."""
-        if self.progress is not None:
-            self.progress(next(self._done), self._steps)
+        self.progress(next(self._done), self._steps)
 
     def _begin(self) -> None:
         self._total = len(self.session.pair().times_s)

@@ -28,15 +28,13 @@ from measure.session import (
 
 
 def check_files(
-    path: Path, lacking: Sequence[str], progress: Progress | None
+    path: Path, lacking: Sequence[str], progress: Progress
 ) -> tuple[str, int, tuple[Finding, ...]]:
     """What shows without what is lacking: its name, the number of frame sets, and the findings."""
     with open_streams(path) as streams:
         total, done = max(map(len, streams.values())), count(1)
         notes = [note for stream in streams.values() for note in stream.notes]
-        findings = file_findings(
-            streams, notes, lambda: progress(next(done), total) if progress else None
-        )
+        findings = file_findings(streams, notes, lambda: progress(next(done), total))
         if (apart := clocks_apart(streams)) is not None:
             findings.append(Finding(Level.WRONG, "clock", str(apart)))
         for name, one in streams.items():

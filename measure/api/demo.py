@@ -16,7 +16,7 @@ from measure.api.warming_up import compilation_notice, compile_pipeline
 from measure.errors import ConfigError
 from measure.host import Registry
 from measure.measuring import Profile
-from measure.processes import Progress
+from measure.processes import Progress, quiet
 from measure.results import RunEvaluation, Summary, read_runs
 from measure.session import open_session
 
@@ -47,7 +47,7 @@ def demo(
     profile: Profile,
     registry: Registry,
     frames: int = DEMO_FRAMES,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     overwrite: bool = False,
 ) -> Demo:
     """Render a short session of four cameras, measure it, and compare it with the exact truth.
@@ -60,7 +60,7 @@ def demo(
 
 
 def _demo(
-    folder: Path, profile: Profile, registry: Registry, frames: int, progress: Progress | None
+    folder: Path, profile: Profile, registry: Registry, frames: int, progress: Progress
 ) -> Demo:
     from measure.simulation.catalogue import webcam_scene
     from measure.viewing.drawings import write_mosaic
@@ -72,7 +72,7 @@ def _demo(
 
         def rendered(done: int, total: int | None) -> None:
             end_notices()
-            if progress is not None and total is not None:
+            if total is not None:
                 progress(done, total + frames)
 
         session = render_demo(folder, frames, rendered)
@@ -80,8 +80,7 @@ def _demo(
     options = RunOptions(image_every=max(frames // 10, 1))
 
     def measured(done: int, _: int | None) -> None:
-        if progress is not None:
-            progress(pictures + done, pictures + frames)
+        progress(pictures + done, pictures + frames)
 
     summary = run(session, folder / "run", profile, registry, options, measured)
     picture = folder / "demo.png"
@@ -91,7 +90,7 @@ def _demo(
     return Demo(session, folder / "run", picture, summary, evaluate(folder / "run"), correction)
 
 
-def render_demo(folder: Path, frames: int = DEMO_FRAMES, progress: Progress | None = None) -> Path:
+def render_demo(folder: Path, frames: int = DEMO_FRAMES, progress: Progress = quiet) -> Path:
     """Render the demonstration's session, without measuring it; returns the session's folder."""
     from measure.simulation import write_session
     from measure.simulation.catalogue import webcam_scene

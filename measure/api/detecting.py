@@ -28,7 +28,7 @@ from measure.model import (
     Image,
     Intrinsics,
 )
-from measure.processes import Progress
+from measure.processes import Progress, quiet
 from measure.session import read_calibration, read_picture, write_body
 
 _USUAL_FOCAL = 0.72  # Focal length over the longer side of a picture, of ordinary webcams
@@ -89,7 +89,7 @@ def detect(
     body: Body,
     lens: Lens | None = None,
     expected: Iterable[tuple[str, tuple[float, float, float]]] = (),
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> tuple[SeenPicture, ...]:
     """Find a body's balls in single pictures.
 
@@ -115,8 +115,7 @@ def detect(
         found = plugin_calls.detections(detector, image, where, body)
         kept = [d for d in found if not asked or d.ball in asked]
         seen.append(SeenPicture(path, tuple(sorted(kept, key=lambda d: -d.score))))
-        if progress is not None:
-            progress(index + 1, len(pictures))
+        progress(index + 1, len(pictures))
     return tuple(seen)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -22,6 +22,7 @@ from measure.api.profiles import build_pipeline
 from measure.api.recording import (
     SESSION,
     CaptureOptions,
+    OpenRig,
     calibrated_cameras,
     check_apart,
     new_recorder,
@@ -37,7 +38,7 @@ from measure.capture.sources import Source
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.measuring import Measurement, Pipeline, Profile, burn_in, relative_measurements
-from measure.model import Body, Camera, FrameSet
+from measure.model import Body, Camera, FrameSet, Image
 from measure.processes import share_heaps
 from measure.results import Provenance, RunWriter, Summary, check_run_folder
 from measure.session import Calibration, check_bodies, check_unit, read_body
@@ -117,10 +118,7 @@ def live(
         opened = stack.enter_context(open_rig(prepared.sources, sent.cameras, options))
         rig = opened.cameras
         gathering = Gathering(list(rig.addresses), on_read=rig.note_read)
-        takers = [gathering.add]
-        if options.record is not None:
-            given = options.record, opened, sent.bodies, sent.cameras, sent.reference
-            takers.append(stack.enter_context(new_recorder(*given)).add)
+        takers = [gathering.add, *_recorders(stack, opened, sent, options.record)]
         sending = stack.enter_context(prepared.sending)
         outputs = _LiveOutputs(stack, out, prepared.made_from, sent, options)
 
@@ -144,6 +142,15 @@ def live(
         rig.check()
         summary = outputs.finish()
     return LiveEnd(summary, state, tuple(opened.controls.changed.values()), sending.counts)
+
+
+def _recorders(
+    stack: ExitStack, opened: OpenRig, sent: SentRun, folder: Path | None
+) -> Iterator[Callable[[Image], None]]:
+    """What takes pictures to be recorded, if they are."""
+    if folder is not None:
+        recorder = new_recorder(folder, opened, sent.bodies, sent.cameras, sent.reference)
+        yield stack.enter_context(recorder).add
 
 
 @dataclass(frozen=True)
@@ -234,25 +241,21 @@ class _LiveOutputs:
     def __init__(
         self, stack: ExitStack, out: Path, made_from: Provenance, run: SentRun, options: LiveOptions
     ) -> None:
-        self._log = None
         given = out, made_from, run.bodies, run.cameras
         writer = RunWriter(*given, overwrite=options.overwrite, reference=run.reference)
         self._writer = stack.enter_context(writer)
         self._writer.begin()
-        if options.recording or options.viewer:
-            log = RunLog(run.name, run.bodies, run.cameras, out, options)
-            self._log = stack.enter_context(log)
+        log = RunLog(run.name, run.bodies, run.cameras, out, options)
+        self._log = stack.enter_context(log)
 
     def add(self, frame_set: FrameSet, measured: Sequence[Measurement]) -> None:
         """Write a measurement of each body."""
         self._writer.append(*measured)
-        if self._log is not None:
-            self._log.add(measured, frame_set)
+        self._log.add(measured, frame_set)
 
     def finish(self) -> Summary:
         """Finish the run's folder."""
-        if self._log is not None:
-            self._log.close()
+        self._log.close()
         return self._writer.finish()
 
 

@@ -18,7 +18,7 @@ from measure.api.warming_up import warm_pipeline
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.measuring import Profile
-from measure.processes import Progress, connected, processes, usable_cores
+from measure.processes import Progress, connected, processes, quiet, usable_cores
 from measure.results import Summary
 
 _ATTEMPTS = 3
@@ -55,7 +55,7 @@ def run_many(
     options: RunOptions | None = None,
     workers: int | None = None,
     cluster: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> list[Outcome]:
     """Measure recordings independently of each other, each into a folder of its own in `out`.
 
@@ -88,8 +88,7 @@ def run_many(
         outcomes: dict[Path, Outcome] = {}
         for outcome in finished:
             outcomes[outcome.session] = outcome
-            if progress is not None:
-                progress(len(outcomes), len(jobs))
+            progress(len(outcomes), len(jobs))
         return [outcomes[job.session] for job in jobs]
 
 

@@ -28,7 +28,7 @@ from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.measuring.association import associate
 from measure.model import Body, Detection
-from measure.processes import Progress
+from measure.processes import Progress, quiet
 from measure.session import (
     Calibration,
     Session,
@@ -66,7 +66,7 @@ def refine(
     profile: str = "precise",
     settings: RefineSettings | None = None,
     calibration: Path | str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> RefineResult:
     """Measure a session and refine its cameras by bundle adjustment over it.
 
@@ -110,14 +110,13 @@ def lenient(profile: Profile) -> Profile:
 
 
 def measure_all(
-    opened: Session, profile: Profile, registry: Registry, progress: Progress | None
+    opened: Session, profile: Profile, registry: Registry, progress: Progress
 ) -> tuple[list[Measurement], Body]:
     """Every frame set measured, and the body with the radii that its outlines show."""
     pipeline, measured = calibrated_pipeline(opened, profile, registry), []
     for measurement in pipeline.measure(opened.frame_sets()):
         measured.append(measurement)
-        if progress is not None:
-            progress(len(measured), None)
+        progress(len(measured), None)
     return measured, pipeline.body
 
 
@@ -182,7 +181,7 @@ def find_body(
     origin: str | None = None,
     profile: str = "precise",
     calibration: Path | str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> FoundBody:
     """Find a body's balls in a recording, and adjust their places to all its pictures.
 
@@ -225,7 +224,7 @@ def _searched(
     pattern: Body | None,
     profile: Profile,
     registry: Registry,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Iterator[dict[str, SeenBall]]:
     """The balls located in frame sets spread over the recording, by whole pictures."""
     searches = [build_detectors(profile, registry, body, session.cameras) for body in probes]
@@ -240,8 +239,7 @@ def _searched(
                 located |= locate(mine, body, session.cameras, 2)
             else:
                 located |= locate(seen, body, session.cameras)
-        if progress is not None:
-            progress(done, len(chosen))
+        progress(done, len(chosen))
         yield located
 
 
@@ -265,7 +263,7 @@ def _adjusted(
     origin: str | None,
     profile: Profile,
     registry: Registry,
-    progress: Progress | None,
+    progress: Progress,
 ) -> FoundBody:
     """Measure the recording with a rough body, and adjust that by bundle adjustment."""
     first = replace(rough, tolerance_mm=_ROUGH_MM)

@@ -20,7 +20,7 @@ from measure.measuring import Profile
 from measure.measuring.profile import Stage
 from measure.model import Body
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
-from measure.processes import Progress
+from measure.processes import Progress, quiet
 from measure.results import Provenance, RunWriter, Summary, check_run_folder, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
 
@@ -61,8 +61,8 @@ def run(
     profile: Profile,
     registry: Registry,
     options: RunOptions | None = None,
-    progress: Progress | None = None,
-    on_note: Callable[[str], None] | None = None,
+    progress: Progress = quiet,
+    on_note: Callable[[str], None] = lambda _: None,
 ) -> Summary:
     """Measure a session; every frame set becomes a row of the run, with or without a pose.
 
@@ -89,7 +89,7 @@ def run(
         writer = stack.enter_context(RunWriter(*given, session.reference))
         if writer.is_complete(total):
             return writer.finish()
-        if writer.kept and on_note is not None:
+        if writer.kept:
             on_note(
                 f"measuring {min(writer.kept, total)} kept of {total} frame sets again, so that "
                 "the rest comes out as if never interrupted"
@@ -99,19 +99,12 @@ def run(
         # folder is made, or an earlier run lost.
         first = list(islice(measured, 1))
         writer.begin()
-        log = (
-            stack.enter_context(_log(session, out, options, writer.kept))
-            if options.recording or options.viewer
-            else None
-        )
+        log = stack.enter_context(_log(session, out, options, writer.kept))
         for frame_set, measurements in chain(first, measured):
             writer.append(*measurements)
-            if log is not None:
-                log.add(measurements, frame_set)
-            if progress is not None:
-                progress(measurements[0].index + 1, total)
-        if log is not None:
-            log.close()
+            log.add(measurements, frame_set)
+            progress(measurements[0].index + 1, total)
+        log.close()
         return writer.finish()
 
 
@@ -200,18 +193,12 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
 
 def _log(session: Session, out: Path, options: RunOptions, kept: int) -> RunLog:
     """The recording of a run of this session, its truth and its videos in it."""
+    given = session.name, session.bodies, session.cameras, out, options, kept
+    if not options.wanted:
+        return RunLog(*given)
     from measure.viewing.recording import passed_videos
 
-    return RunLog(
-        session.name,
-        session.bodies,
-        session.cameras,
-        out,
-        options,
-        kept,
-        truths=_truths(session),
-        videos=passed_videos(session) if options.image_every else {},
-    )
+    return RunLog(*given, _truths(session), passed_videos(session) if options.image_every else {})
 
 
 def _truths(session: Session) -> dict[str, Trajectory]:

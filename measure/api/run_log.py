@@ -16,7 +16,7 @@ from measure.results.journal import unfinished
 from measure.session import Trajectory
 
 if TYPE_CHECKING:
-    from measure.viewing.recording import PassedVideo
+    from measure.viewing.recording import PassedVideo, RunRecording
 
 RESERVED_BYTES = 32_000_000
 """Least free space on the disk to go on: more than the recording buffers at a time."""
@@ -30,6 +30,11 @@ class LogOptions:
     recording: bool = True  # whether to write `run.rrd` at all
     viewer: str | None = None  # address of a running viewer to send to while measuring
 
+    @property
+    def wanted(self) -> bool:
+        """Whether anything of a run is logged."""
+        return self.recording or bool(self.viewer)
+
     def check_viewer(self) -> None:
         """Refuse (ConfigError) an address where no viewer listens, before anything is measured."""
         if self.viewer:
@@ -42,7 +47,7 @@ class RunLog:
     """The recording of a run in its folder, with the error against truth where there is one.
 
     That of an interrupted run is replaced by this one as soon as this one holds as many frame sets
-    as are `kept` of it.
+    as are `kept` of it. Nothing is logged unless `options.wanted`.
     """
 
     def __init__(
@@ -56,10 +61,13 @@ class RunLog:
         truths: Mapping[str, Trajectory] | None = None,
         videos: Mapping[str, PassedVideo] | None = None,
     ) -> None:
+        self._path = out / "run.rrd" if options.recording else None
+        self._kept, self._problem = kept, ""
+        self._log: RunRecording | None = None
+        if not options.wanted:
+            return
         from measure.viewing.recording import RunRecording, open_recording
 
-        self._path = out / "run.rrd" if options.recording else None
-        self._kept, self._closed, self._problem = kept, False, ""
         self._check_free_space()
         run_id = digest([(out / "run.toml").read_bytes()])
         file = unfinished(self._path) if self._path and kept else self._path
@@ -95,10 +103,10 @@ class RunLog:
 
     def close(self) -> None:
         """Close the recording; if that fails, it is told at the end of the block."""
-        if not self._closed:
-            self._closed = True
+        log, self._log = self._log, None
+        if log is not None:
             try:
-                self._log.close()
+                log.close()
             except RuntimeError as problem:
                 # Rerun's writer thread died, most often of a full disk.
                 self._problem = str(problem)
@@ -117,6 +125,8 @@ class RunLog:
 
     def add(self, measurements: Sequence[Measurement], frame_set: FrameSet) -> None:
         """Log a frame set, its pictures if it is their turn; RunError if the disk is full."""
+        if self._log is None:
+            return
         self._check_free_space()
         self._log.add(measurements, frame_set)
         if self._path is not None and measurements[0].index + 1 == self._kept:

@@ -22,7 +22,7 @@ from measure.errors import ConfigError, SessionError
 from measure.host import Registry
 from measure.measuring import Profile
 from measure.model import Camera
-from measure.processes import Progress
+from measure.processes import Progress, quiet
 from measure.session import Session, open_session, session_file
 from measure.session.timestamps import add_time_offsets
 
@@ -39,7 +39,7 @@ def find_offsets(
     profile: Profile,
     largest_s: float,
     seconds: float,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> dict[str, float]:
     """Search every camera's pictures for the balls, and `synchronise` the clocks by their paths.
 
@@ -57,8 +57,7 @@ def find_offsets(
         for position in chosen[camera.name]:
             image = session.streams[camera.name].read(position)
             found.append(detectors[camera.name].detect(image, ()))
-            if progress is not None:
-                progress(next(done), total)
+            progress(next(done), total)
         return BallTracks.of(camera, session.body, found)
 
     with ThreadPoolExecutor(len(session.cameras)) as pool:
@@ -97,7 +96,7 @@ def sync(
     out: Path | None = None,
     overwrite: bool = False,
     seconds: float = 120.0,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Mapping[str, SyncedClock]:
     """Bring the clocks of cameras together that were started by hand; writes `time_offset_s`.
 
@@ -122,11 +121,7 @@ def sync(
 
 
 def _synced(
-    session: Session,
-    registry: Registry,
-    profile: Profile,
-    seconds: float,
-    progress: Progress | None,
+    session: Session, registry: Registry, profile: Profile, seconds: float, progress: Progress
 ) -> dict[str, SyncedClock]:
     streams = session.streams.values()
     span = max(s.times_s[-1] for s in streams) - min(s.times_s[0] for s in streams)

@@ -42,19 +42,11 @@ def accept(
     ]  # fmt: skip
     code = console.UNBELIEVABLE if judged.contradictions else 0
     if json:
-        console.print_json(
-            {
-                "run": str(run),
-                **vars(judged),
-                "worst": judged.names[judged.worst],
-                "contradictions": judged.contradictions,
-                "promises": [
-                    {"promise": what, "held": held, "figure": how}
-                    for what, held, how in found.promises
-                ],
-                "passed": not judged.contradictions,
-            }
-        )
+        keys = ("promise", "held", "figure")
+        promises = [dict(zip(keys, promise, strict=True)) for promise in found.promises]
+        wrong = {"contradictions": judged.contradictions, "passed": not judged.contradictions}
+        known = {**vars(judged), "worst": judged.names[judged.worst], **wrong}
+        console.print_json({"run": str(run), **known, "promises": promises})
         return code
     heads = ("from - to", "length_mm", "error_mm", "U_mm (k=2)", "error/U")
     console.print_table(heads, rows)

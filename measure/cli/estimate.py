@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,24 @@ from measure.learning import Zeroing
 _CROWDED = "too many senders"  # The counter of senders that were refused for want of room
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _ServerOptions:
+    """Where states come from that are not recorded.
+
+    Attributes:
+        host: address to listen on; other machines can reach it only if it is not the loopback.
+        port: to listen on; 0 takes a free one.
+        seconds: stop after this long.
+        realtime: before other processes, with memory that is not swapped (Linux, needs rights).
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 47118
+    seconds: float | None = None
+    realtime: bool = False
+
+
 def estimate(
     model: Path,
     /,
@@ -26,10 +45,7 @@ def estimate(
     overwrite: Overwrite = False,
     rezero: Path | None = None,
     true_positions: Path | None = None,
-    host: str = "127.0.0.1",
-    port: int = 47118,
-    seconds: float | None = None,
-    realtime: bool = False,
+    server: _ServerOptions = _ServerOptions(),
     json: JsonFlag = False,
 ) -> None:
     """Correct a robot's positions, live or from a file.
@@ -46,10 +62,6 @@ def estimate(
             whether the cables have changed.
         true_positions: a table of tip positions measured now and then (time_s on the states' clock,
             x_mm, y_mm, z_mm): the offsets of the joints follow them. Live, they come by UDP.
-        host: address to listen on; other machines can reach it only if it is not the loopback.
-        port: to listen on; 0 takes a free one.
-        seconds: stop after this long.
-        realtime: before other processes, with memory that is not swapped (Linux, needs rights).
     """
     if input_ is None and out is not None:
         raise ConfigError("--out needs --input: live estimates go back by UDP")
@@ -62,7 +74,7 @@ def estimate(
     with api.output(out, overwrite, read) as file:
         zeroing = None if rezero is None else _zeroing(path, rezero)
         if input_ is None:
-            _serve(path, (host, port), zeroing, seconds, json=json, realtime=realtime)
+            _serve(path, server, zeroing, json)
             return
         counts = api.estimate_file(
             path, input_, file, zeroing, true_positions=true_positions, on_drift=console.note
@@ -81,15 +93,7 @@ def _zeroing(model: Path, stretch: Path) -> Zeroing:
     return zeroing
 
 
-def _serve(
-    model: Path,
-    address: tuple[str, int],
-    zeroing: Zeroing | None,
-    seconds: float | None,
-    *,
-    json: bool,
-    realtime: bool,
-) -> None:
+def _serve(model: Path, given: _ServerOptions, zeroing: Zeroing | None, json: bool) -> None:
     told = False
 
     def line(server: Any) -> None:
@@ -104,10 +108,10 @@ def _serve(
 
     served = api.estimate_online(
         model,
-        address,
+        (given.host, given.port),
         zeroing=zeroing,
-        seconds=seconds,
-        realtime=realtime,
+        seconds=given.seconds,
+        realtime=given.realtime,
         on_start=lambda server: console.note("listening on udp://{}:{}".format(*server.address)),
         on_state=line,
         on_refusal=console.note,

@@ -70,8 +70,7 @@ def live(
     """
     schemes = {address.partition(":")[0] for address in to.send}
     ours = tuple(text for text in method.set_ if text.partition(".")[0] in schemes)
-    others = tuple(text for text in method.set_ if text not in ours)
-    chosen = replace(method, set_=others).chosen()
+    chosen = replace(method, set_=tuple(t for t in method.set_ if t not in ours)).chosen()
     options = api.LiveOptions(
         record=to.record,
         send=to.send,
@@ -92,8 +91,8 @@ def live(
     given = api.parse_cameras(cameras, api.camera_names(calibration))
     for line in api.usb_notes(given, calibration, request):
         console.note(line)
-    lines = _StateLines()
-    end = api.live(given, to.out, calibration, bodies.body, chosen, registry, options, lines)
+    shown = options, _StateLines()
+    end = api.live(given, to.out, calibration, bodies.body, chosen, registry, *shown)
     if json:
         console.print_json({"run": str(to.out), **end.summary.values(), **_numbers(end)})
     else:

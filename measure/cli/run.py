@@ -70,12 +70,10 @@ def run(
     )
     if not sessions:
         raise ConfigError("no session to measure: give its folder")
-    workers, cluster = execution.workers, execution.cluster
-    if len(sessions) > 1 or cluster is not None:
+    if len(sessions) > 1 or execution.cluster is not None:
+        where = execution.workers, execution.cluster
         with console.progress("measuring", "recordings") as report:
-            outcomes = api.run_many(
-                sessions, out, chosen, registry, options, workers, cluster, report
-            )
+            outcomes = api.run_many(sessions, out, chosen, registry, options, *where, report)
         return _print_outcomes(outcomes, out, json)
     with console.progress("measuring") as report:
         summary = api.run(sessions[0], out, chosen, registry, options, report, console.note)
