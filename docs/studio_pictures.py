@@ -1,6 +1,6 @@
 """Make the pictures of the set-up page: `python -m docs.studio_pictures` (needs chromium).
 
-The page is served cameras of rendered pictures: a session of three balls, and a waved board. With
+The page is served cameras of rendered pictures: three balls, a waved board, and markers. With
 `--all FOLDER` every page is drawn into a folder, wide and narrow, light and dark.
 """
 
@@ -14,12 +14,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from measure.session import Calibration, write_calibration
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium
 from tests.simulated.sessions import still_session
+from tests.studio import test_from_nothing as new
+from tests.studio import waved
 from tests.studio.desk import choose, press, studio
-from tests.studio.test_calibration import ADVICE, jpegs
-from tests.studio.waved import TARGET, rig
 
 IMAGES = Path(__file__).parent / "images"
 WIDTH_PX = 900
@@ -49,16 +50,33 @@ def main(folder: Path | None) -> None:
             page.wait_for("document.querySelector('[data-pose]')?.innerText.includes('±')", 120)
             page.idle(3.0)
             _take(page, "measure", folder)
-        rng = np.random.default_rng(0)
-        waved = {camera.name: jpegs(camera, rng) for camera in rig()}
-        board = Path(scratch) / "board"
-        with serving(_served(waved)) as found, studio(board, *_words(found)) as address:
-            page.open(address + "calibration")
-            choose(page, "Board", TARGET)
-            press(page, "wave the board")
-            page.wait_for(f"!!{ADVICE} && {LIVE}", 30)
-            page.idle(4.0)
-            _take(page, "calibration", folder)
+        _set_up(page, Path(scratch), folder)
+
+
+def _set_up(page: Chromium, scratch: Path, folder: Path | None) -> None:
+    """A board that is waved, markers, and a body, before two cameras."""
+    desk, rng, true = scratch / "set-up", np.random.default_rng(0), new.cameras()
+    cameras = _served(new.board_pictures(rng))
+    with serving(cameras) as found, studio(desk, *_words(found)) as address:
+        page.open(address + "calibration")
+        choose(page, "Board", waved.TARGET)
+        press(page, "wave the board")
+        page.wait_for(f"!!{new.ADVICE} && {LIVE}", 30)
+        page.idle(4.0)
+        _take(page, "calibration", folder)
+        press(page, "stop")
+        write_calibration(desk / "calibration.toml", Calibration(true))
+        new.serve(cameras, {c.name: [new.jpeg(waved.dots(c, new.FIELD.points))] for c in true})
+        page.idle(2.0)
+        page.open(address + "marks")
+        new.mark_the_dots(page, true)
+        page.idle(6.0)
+        _take(page, "marks", folder)
+        new.serve(cameras, new.ball_pictures(scratch / "balls"))
+        page.idle(2.0)
+        page.open(address + "body")
+        new.make_the_body(page, desk, true, scratch / "balls")
+        _take(page, "body", folder)
 
 
 def _served(cameras: dict[str, list[bytes]]) -> dict[str, ServedCamera]:

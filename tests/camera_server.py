@@ -19,7 +19,8 @@ class ServedCamera:
     """One camera's pictures and its manners.
 
     Attributes:
-        pictures: JPEGs; from the last one on they come back in reverse, for ever.
+        pictures: JPEGs; from the last one on they come back in reverse, for ever. Others may be put
+            in their place at any time.
         period_s: between two of them.
         phase_s: how much later than others it begins.
         lengths: whether parts say how long they are.
@@ -76,15 +77,15 @@ class _Handler(BaseHTTPRequestHandler):
             self._parts(camera)
 
     def _parts(self, camera: ServedCamera) -> None:
-        count = len(camera.pictures)
-        order = [*range(count), *range(count - 2, 0, -1)]
         first = int((time.time() - self.begun) / camera.period_s) + 1
         for sent, turn in enumerate(range(first, 1 << 40)):
             taken = self.begun + camera.phase_s + turn * camera.period_s
             late = camera.late_s[turn % len(camera.late_s)]
             time.sleep(max(taken + late - time.time(), 0.0))
+            pictures = camera.pictures
+            order = [*range(len(pictures)), *range(len(pictures) - 2, 0, -1)]
             which = order[turn % len(order)]
-            data = camera.pictures[which]
+            data = pictures[which]
             if sent == camera.breaks_after:
                 self.wfile.write(_head(camera, data, taken) + data[: len(data) // 2])
                 return

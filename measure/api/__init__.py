@@ -26,17 +26,21 @@ from measure.api.correcting import (
 from measure.api.demo import Demo, demo, render_demo
 from measure.api.detecting import (
     Lens,
+    Samples,
     SeenPicture,
     detect,
     draw,
     drawings,
     parse_click,
     parse_expectation,
+    sampled_color,
     write_sampled_body,
 )
 from measure.api.folders import contents_of, events, inside, mark_event, next_free
 from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
+from measure.api.marking import MARK_KINDS, TAG_FAMILIES, Mark, Marking, MarkKind, begin_marks
+from measure.api.marks import TYPED
 from measure.api.measuring import measure_bodies, measure_session
 from measure.api.metrology import RestsSoFar, TipResult, pivot, rests, world, world_by_board
 from measure.api.outputs import new_folder, output
@@ -79,24 +83,26 @@ from measure.capture import (
 from measure.host import Registry
 from measure.measuring import Measurement
 from measure.results.evaluation import evaluation_tables
-from measure.session import read_body, read_calibration, write_calibration
+from measure.session import read_body, read_calibration, write_body, write_calibration
 
 __all__ = [
-    "Accepted", "BallWatch", "CalibrationResult", "CameraAddress", "CameraCount", "CameraNow",
-    "CaptureOptions", "CaptureRequest", "Control", "Demo", "DeviceControls", "FoundBody",
-    "FoundCamera", "Lens", "LiveEnd", "LiveOptions", "LiveState", "Measurement", "Mode", "Outcome",
-    "PictureFacts", "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "RefineResult",
-    "Registry", "RestsSoFar", "RunOptions", "SeenPicture", "SessionCheck", "SweepOptions",
+    "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Accepted", "BallWatch", "CalibrationResult",
+    "CameraAddress", "CameraCount", "CameraNow", "CaptureOptions", "CaptureRequest", "Control",
+    "Demo", "DeviceControls", "FoundBody", "FoundCamera", "Lens", "LiveEnd", "LiveOptions",
+    "LiveState", "Mark", "MarkKind", "Marking", "Measurement", "Mode", "Outcome", "PictureFacts",
+    "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry",
+    "RestsSoFar", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "SweepOptions",
     "SyncedClock", "TipResult", "TrainOptions", "WatchedCamera", "WaveState", "ablate", "accept",
-    "body_names", "build_pipeline", "calibrate", "calibrate_to", "camera_names", "cameras",
-    "capture_board", "check", "choose", "compare", "contents_of", "correct_simulated_robot", "demo",
-    "detect", "draw", "draw_target", "drawings", "estimate_file", "estimate_online", "evaluate",
-    "evaluation_tables", "events", "export", "find_body", "inside", "live", "load_profile",
-    "make_dataset", "mark_event", "measure_bodies", "measure_session", "model_file", "new_folder",
-    "next_free", "output", "parse_cameras", "parse_click", "parse_controls", "parse_expectation",
-    "parse_images", "parse_settings", "parse_size", "pivot", "play", "profile_names", "read_body",
-    "read_calibration", "record", "refine", "register", "render_demo", "report", "rests", "rezero",
-    "robot_recording", "run", "run_many", "shipped_model", "shipped_targets", "simulate_dataset",
-    "simulate_recording", "sweep", "sync", "train", "usb_notes", "web_viewer", "world",
-    "world_by_board", "write_calibration", "write_sampled_body",
+    "begin_marks", "body_names", "build_pipeline", "calibrate", "calibrate_to", "camera_names",
+    "cameras", "capture_board", "check", "choose", "compare", "contents_of",
+    "correct_simulated_robot", "demo", "detect", "draw", "draw_target", "drawings", "estimate_file",
+    "estimate_online", "evaluate", "evaluation_tables", "events", "export", "find_body", "inside",
+    "live", "load_profile", "make_dataset", "mark_event", "measure_bodies", "measure_session",
+    "model_file", "new_folder", "next_free", "output", "parse_cameras", "parse_click",
+    "parse_controls", "parse_expectation", "parse_images", "parse_settings", "parse_size", "pivot",
+    "play", "profile_names", "read_body", "read_calibration", "record", "refine", "register",
+    "render_demo", "report", "rests", "rezero", "robot_recording", "run", "run_many",
+    "sampled_color", "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording",
+    "sweep", "sync", "train", "usb_notes", "web_viewer", "world", "world_by_board", "write_body",
+    "write_calibration", "write_sampled_body",
 ]  # fmt: skip

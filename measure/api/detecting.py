@@ -50,6 +50,7 @@ class Lens:
     calibration: Path | None = None
     camera: str | None = None
     focal_px: float | None = None
+    known: Intrinsics | None = None  # the lens itself, in place of a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +130,9 @@ class LensOf:
             if lens.focal_px is not None:
                 raise ConfigError("--focal-px and --calibration both give a focal length: give one")
             self._calibrated = _chosen(lens.calibration, lens.camera)
+        elif lens.known is not None:
+            name = lens.camera or "camera"
+            self._calibrated = Camera(name, lens.known, RigidTransform.identity())
         elif lens.camera is not None:
             raise ConfigError(f"--camera {lens.camera}: give the --calibration that holds it")
         if lens.focal_px is not None and not 0 < lens.focal_px < np.inf:
@@ -238,18 +242,22 @@ def write_sampled_body(
         names = ", ".join(body.names)
         raise ConfigError(f"--sample {unknown[0]}: the body has no such ball, but {names}")
     pixels, best = read_picture(seen.picture), {d.ball: d for d in reversed(seen.detections)}
-    found = {ball: _about(pixels, ball, at) for ball, at in clicks.items()}
+    found = {ball: sampled_color(pixels, ball, at) for ball, at in clicks.items()}
     for ball in outlined:
         if ball not in best:
             raise ConfigError(f"{seen.picture}: {ball} is not seen: give --sample {ball}=U,V")
         inside, (u, v) = np.zeros(pixels.shape[:2], np.uint8), np.rint(best[ball].center_px)
         cv2.circle(inside, (int(u), int(v)), int(_INSIDE * best[ball].radius_px), 255, -1)
-        found[ball] = pixels[inside > 0]
-    write_body(to, body, {ball: _representative(some) for ball, some in found.items()})
+        found[ball] = _representative(pixels[inside > 0])
+    write_body(to, body, found)
 
 
-def _about(pixels: Bytes, ball: str, at: tuple[float, float]) -> Bytes:
-    """The pixels (n, 3) of a click's colour that are connected to it."""
+Samples = Bytes
+"""Colours that stand for a ball, BGR (n, 3)."""
+
+
+def sampled_color(pixels: Bytes, ball: str, at: tuple[float, float]) -> Samples:
+    """Samples of a click's colour: of the picture's pixels (h, w, 3) that are connected to it."""
     u, v = round(at[0]), round(at[1])
     height, width = pixels.shape[:2]
     if not (0 <= u < width and 0 <= v < height):
@@ -261,7 +269,7 @@ def _about(pixels: Bytes, ball: str, at: tuple[float, float]) -> Bytes:
     found = pixels[(labels == labels[v, u]) & (mask > 0)]
     if len(found) < _FEWEST:
         raise ConfigError(f"--sample {ball}={u},{v}: shows no ball of one colour: click elsewhere")
-    return np.asarray(found)
+    return _representative(np.asarray(found))
 
 
 def _representative(some: Bytes) -> Bytes:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import csv
 import time
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from measure.errors import ConfigError, MeasureError, RunError
+from measure.arrays import Bytes
+from measure.errors import CalibrationError, ConfigError, MeasureError, RunError
 from measure.reading import parse_toml, read_text
+from measure.session import matching_files, read_picture
 
 EVENTS = "events.csv"  # In a run's folder: the time of each event and what it was
 
@@ -32,9 +35,11 @@ def inside(folder: Path, name: str | Path) -> Path:
 
 
 def contents_of(folder: Path) -> FolderContents:
-    """Look through a folder and the folders in it."""
+    """Look through a folder and the folders in it, but those of captures and runs."""
     kinds: dict[str, list[Path]] = {"balls": [], "cameras": [], "kind": []}
-    files = [*folder.glob("*.toml"), *folder.glob("*/*.toml")]
+    made = {file.parent for kind in ("capture", "run") for file in folder.glob(f"*/{kind}.toml")}
+    files = [*folder.glob("*.toml")]
+    files += [file for file in folder.glob("*/*.toml") if file.parent not in made]
     for file in sorted(files, key=lambda one: one.stat().st_mtime, reverse=True):
         try:
             keys = parse_toml(read_text(file, ConfigError)).keys()
@@ -46,12 +51,23 @@ def contents_of(folder: Path) -> FolderContents:
     return FolderContents(*(tuple(kinds[kind]) for kind in ("cameras", "balls", "kind")))
 
 
-def next_free(folder: Path, stem: str) -> str:
+def next_free(folder: Path, stem: str, suffix: str = "") -> str:
     """The first of `stem`-1, `stem`-2, ... that is not there."""
     number = 1
-    while (folder / f"{stem}-{number}").exists():
+    while (folder / f"{stem}-{number}{suffix}").exists():
         number += 1
-    return f"{stem}-{number}"
+    return f"{stem}-{number}{suffix}"
+
+
+def named_pictures(folder: Path, cameras: Iterable[str]) -> dict[str, Bytes]:
+    """Pictures in a folder that are named like cameras (cam0.png), by camera, BGR (h, w, 3)."""
+    names, found = [*cameras], dict[str, Bytes]()
+    for name in names:
+        if files := matching_files(folder, f"{name}.*", CalibrationError):
+            found[name] = read_picture(files[0])
+    if not found:
+        raise CalibrationError(f"{folder} holds no picture named like a camera: {', '.join(names)}")
+    return found
 
 
 def mark_event(run: Path, what: str, time_s: float | None = None) -> None:

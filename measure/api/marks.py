@@ -1,11 +1,15 @@
-"""Event marks that the lab sends while cameras are measured: by UDP, or as a stream of LSL."""
+"""Event marks while cameras are measured: by UDP, as a stream of LSL, or typed."""
 
 from __future__ import annotations
 
 import json
+import logging
+import os
 import socket
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import Any
 
@@ -13,6 +17,8 @@ from measure.errors import ConfigError
 from measure.host import needed
 
 _FORMS = "--marks takes udp://HOST:PORT, udp://:PORT for every network, or lsl:NAME"
+TYPED = "stdin:"  # Each line of the standard input is a mark
+_log = logging.getLogger(__name__)
 _POLL_S, _MOST_LETTERS = 0.2, 1000
 _Clock = Callable[[], float]
 _Marks = Iterator[tuple[float, Any] | None]  # Time and text; None where nothing comes for a while
@@ -25,7 +31,7 @@ def marks_received(
     """Receive event marks meanwhile, each address in a thread of its own.
 
     Args:
-        addresses: udp://HOST:PORT or lsl:NAME each.
+        addresses: udp://HOST:PORT, lsl:NAME or `TYPED` each.
         clock_s: the time now, on the run's clock.
         on_mark: called, from these threads, with the time of a mark on that clock, and its text.
 
@@ -57,6 +63,8 @@ def check_marks(addresses: Sequence[str]) -> None:
 
 
 def _source(address: str, clock_s: _Clock, stack: ExitStack) -> _Marks:
+    if address == TYPED:
+        return _from_lines(clock_s)
     scheme, _, rest = address.partition(":")
     host, _, port = rest.removeprefix("//").rpartition(":")
     try:
@@ -85,6 +93,28 @@ def _from_udp(receiver: socket.socket, clock_s: _Clock) -> _Marks:
         with suppress(ValueError, TypeError, KeyError):
             text = json.loads(text)["mark"]
         yield time_s, text
+
+
+def _from_lines(clock_s: _Clock) -> _Marks:
+    """Lines of the standard input, at the time of their arrival; an empty one is an "event"."""
+    lines = SimpleQueue[tuple[float, str]]()
+    # Nothing interrupts a read that waits for a line: its thread ends with the program.
+    Thread(target=_read_lines, args=(lines, clock_s), daemon=True).start()
+    while True:
+        try:
+            yield lines.get(timeout=_POLL_S)
+        except Empty:
+            yield None
+
+
+def _read_lines(lines: SimpleQueue[tuple[float, str]], clock_s: _Clock) -> None:
+    text = b""
+    with suppress(OSError, ValueError, AttributeError):  # closed; None where there never was one
+        while got := os.read(sys.stdin.fileno(), 4096):
+            *whole, text = (text + got).split(b"\n")
+            for line in whole:
+                lines.put((clock_s(), line.decode("utf-8", "replace").strip() or "event"))
+    _log.warning("--mark: the input has ended, so no more marks can be typed; measuring goes on")
 
 
 def _from_lsl(lsl: Any, name: str, clock_s: _Clock) -> _Marks:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.api.calibrating import find_target
+from measure.api.folders import named_pictures
 from measure.arrays import Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, UncertainTransform
@@ -21,7 +22,7 @@ from measure.metrology.rests import SHORTEST_S, Rests, find_rests
 from measure.model import Body, Camera, Pose
 from measure.results import Run, read_run
 from measure.results.pose_table import poses_of, rests_of, shared_errors
-from measure.session import Calibration, matching_files, read_calibration, read_picture
+from measure.session import Calibration, read_calibration
 
 _LATEST = 3000  # Poses in which rests are looked for while measuring
 
@@ -159,13 +160,7 @@ def world_by_board(
     from measure.calibration.common_views import board_frame
 
     given, folder = read_calibration(calibration), Path(pictures)
-    found = {}
-    for camera in given.cameras:
-        if files := matching_files(folder, f"{camera.name}.*", CalibrationError):
-            found[camera.name] = read_picture(files[0])
-    if not found:
-        names = ", ".join(c.name for c in given.cameras)
-        raise CalibrationError(f"{folder} holds no picture named like a camera: {names}")
+    found = named_pictures(folder, [camera.name for camera in given.cameras])
     place = board_frame(read_board(find_target(Path(board))), given.cameras, found)
     return _moved(given, place, str(folder)), place
 

@@ -148,6 +148,10 @@ class Preview:
             self._shown[key] = image, jpeg, PictureFacts.of(image.pixels)
         return self._shown[key][1:]
 
+    def last_shown(self, camera: str, width_px: int) -> Image | None:
+        """The picture of a camera that somebody looks at in this width; None if nobody does."""
+        return self._shown[camera, width_px][0] if (camera, width_px) in self._shown else None
+
     def facts(self, camera: str) -> PictureFacts | None:
         """What the picture of a camera that was shown last is like; None if none was."""
         seen = [facts for (name, _), (_, _, facts) in list(self._shown.items()) if name == camera]
@@ -237,7 +241,9 @@ class BallWatch:
                     found = plugin_calls.detections(detector, image, [], self._body)
                     best = {one.ball: one for one in sorted(found, key=lambda one: one.score)}
                     self._preview.note_balls(name, best.values())
-                if self._stop.wait((time.monotonic() - begun) * (1 / _SEARCH_SHARE - 1)):
+                # A first search that compiled for minutes is no reason to rest as long.
+                took_s = min(time.monotonic() - begun, _AGAIN_S)
+                if self._stop.wait(took_s * (1 / _SEARCH_SHARE - 1)):
                     return
 
 

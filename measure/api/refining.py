@@ -168,6 +168,8 @@ class FoundBody:
     body: Body  # in the stated frame; its `tolerance_mm` is what is left of its uncertainty
     # (mm, standard deviation in mm) of every two balls.
     distances: Mapping[tuple[str, str], tuple[float, float]]
+    # (mm, standard deviation in mm) of each ball, as its outlines show it; the body has the stated
+    seen_radii: Mapping[str, tuple[float, float]]
     frame: str  # where its origin is and how its axes lie, in words
     frame_sets: int  # how many it rests on
     rms_px: float  # of what is left of the balls' centres in the pictures
@@ -286,7 +288,9 @@ def _adjusted(
         tolerance_mm=float(np.sqrt(variance / 2)),
     )
     rms = float(np.sqrt(np.mean([after**2 for _, after in refined.rms_px.values()])))
-    return FoundBody(body, distances, words, refined.frames, rms)
+    sds = np.sqrt(np.diag(sized.radius_covariance)).tolist()
+    seen = dict(zip(sized.names, zip(sized.radii.tolist(), sds, strict=True), strict=True))
+    return FoundBody(body, distances, seen, words, refined.frames, rms)
 
 
 def _distances(

@@ -31,6 +31,7 @@ from measure.calibration.rig_problem import (
 )
 from measure.calibration.starts import (
     check_board_against_marks,
+    check_located,
     marker_observation,
     marks_of,
     oriented_board,
@@ -75,6 +76,7 @@ def calibrate_capture(
     capture: Capture, method: Method = "joint", progress: Progress | None = None
 ) -> RigCalibration:
     """Calibrate all cameras of a capture: all at once ("joint"), or by equation 3 ("paper")."""
+    check_calibrated(capture)
     lenses: dict[str, LensCalibration] = {}
     known: dict[str, Intrinsics] = {}
     # All common views are kept, similar ones too: the other camera may need them.
@@ -97,6 +99,17 @@ def calibrate_capture(
     return _locate_all(capture, method, lenses, known)
 
 
+def check_calibrated(capture: Capture) -> None:
+    """Refuse (CalibrationError) a capture whose cameras nothing locates, whatever their lenses."""
+    if not capture.settings.common_views:
+        check_located(capture)
+    elif missing := [c.name for c in capture.cameras if c.intrinsics is None]:
+        raise CalibrationError(
+            f"{capture.path}: common_views needs pictures of the board for every camera (none for "
+            f"{', '.join(missing)})"
+        )
+
+
 def _lateral_color(
     lens: LensCalibration, pictures: Iterable[tuple[str, Bytes]]
 ) -> tuple[float, float] | None:
@@ -109,12 +122,7 @@ def _lateral_color(
 
 def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibration:
     """Cameras relative to the first, from pictures of one board taken at the same instants."""
-    missing = [c.name for c in capture.cameras if c.name not in lenses]
-    if capture.board is None or missing:
-        raise CalibrationError(
-            f"{capture.path}: common_views needs pictures of the board for every camera"
-            + (f" (none for {', '.join(missing)})" if missing else "")
-        )
+    assert capture.board is not None
     cameras, around = fit_common_views(capture.board, lenses)
     return RigCalibration(
         cameras,

@@ -19,6 +19,7 @@ from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
+from measure.session import read_picture
 
 _MIN_MARKS_ALONE = 6
 _FLAT_RATIO = 0.02
@@ -45,19 +46,8 @@ def start_from_board(name: str, lens: Intrinsics, seen: BoardObservation) -> Cam
 def start_from_marks(
     name: str, lens: Intrinsics, markers: MarkerField, marks: MarkerObservation
 ) -> Camera:
-    """The camera as located by its marks; CalibrationError: under six, in a plane, or no pose."""
+    """The camera as located by its marks, see `check_located`; CalibrationError if no pose fits."""
     points = markers.points[marks.ids]
-    if len(points) < _MIN_MARKS_ALONE:
-        raise CalibrationError(
-            f"camera {name}: without a board at least {_MIN_MARKS_ALONE} markers are needed, "
-            f"{len(points)} are marked"
-        )
-    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if extent[2] < _FLAT_RATIO * extent[0]:
-        raise CalibrationError(
-            f"camera {name}: without a board the markers must not lie in one plane (extents "
-            f"{extent[0]:.0f}, {extent[1]:.0f}, {extent[2]:.1f} mm)"
-        )
     try:
         camera = Camera(name, lens, board_pose(lens, points, marks.pixels).inverse())
     except CalibrationError:
@@ -80,6 +70,39 @@ def mm_per_px(camera: Camera, points: Floats) -> float:
     """What a pixel is worth at points (n, 3): their median distance over the focal length."""
     distance = float(np.median(np.linalg.norm(points - camera.center, axis=1)))
     return distance / camera.intrinsics.focal_px
+
+
+def check_located(capture: Capture) -> None:
+    """Refuse (CalibrationError) what cannot locate its cameras, before lenses take minutes.
+
+    A camera needs a board of known pose, or six marks that do not lie in one plane; and its
+    pictures must be there.
+    """
+    for camera in capture.cameras:
+        for picture in filter(None, (camera.board_image, camera.marker_image)):
+            read_picture(capture.path.parent / picture)
+        marks = marker_observation(capture.marks.get(camera.name, {}), capture.markers)
+        if camera.board_image is None and marks is None:
+            raise CalibrationError(
+                f"camera {camera.name}: nothing tells where it stands: give board_image with the "
+                f"board's pose, or mark at least six markers in marks.csv ({capture.path})"
+            )
+        if camera.board_image is None and marks is not None:
+            _check_spread(camera.name, capture.markers.points[marks.ids])
+
+
+def _check_spread(name: str, points: Floats) -> None:
+    if len(points) < _MIN_MARKS_ALONE:
+        raise CalibrationError(
+            f"camera {name}: without a board at least {_MIN_MARKS_ALONE} markers are needed, "
+            f"{len(points)} are marked"
+        )
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if extent[2] < _FLAT_RATIO * extent[0]:
+        raise CalibrationError(
+            f"camera {name}: without a board the markers must not lie in one plane (extents "
+            f"{extent[0]:.0f}, {extent[1]:.0f}, {extent[2]:.1f} mm)"
+        )
 
 
 _CLEAR_RATIO = 3.0  # How much worse the marks must fit any other turn
@@ -140,11 +163,7 @@ def marks_of(
     own = capture.marks.get(camera.name, {})
     by_hand = marker_observation(own, markers)
     if start is None:
-        if by_hand is None:
-            raise CalibrationError(
-                f"camera {camera.name}: nothing tells where it stands: give board_image with the "
-                f"board's pose, or mark at least six markers in marks.csv ({capture.path})"
-            )
+        assert by_hand is not None  # see `check_located`
         start = start_from_marks(camera.name, lens, markers, by_hand)
     if camera.marker_image is None or not markers.names:
         return start, by_hand, None

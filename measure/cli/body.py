@@ -54,6 +54,7 @@ def body(
             "frame_sets": found.frame_sets,
             "rms_px": found.rms_px,
             "tolerance_mm": found.body.tolerance_mm,
+            "seen_radii_mm": found.seen_radii,
             "distances": [dict(zip(keys, row, strict=True)) for row in rows],
         }
         console.print_json(values)

@@ -38,6 +38,7 @@ class _DestinationOptions:
         record: a session folder to record the pictures into as well.
         send: where every pose is sent, such as udp://127.0.0.1:5005; may be repeated.
         marks: where event marks come from, udp://:PORT or lsl:NAME; may be repeated.
+        mark: mark an event with Enter, and with what was typed before it.
     """
 
     out: OutFile
@@ -45,6 +46,7 @@ class _DestinationOptions:
     record: Path | None = None
     send: tuple[str, ...] = ()
     marks: tuple[str, ...] = ()
+    mark: bool = False
 
 
 def live(
@@ -74,7 +76,7 @@ def live(
     options = api.LiveOptions(
         record=to.record,
         send=to.send,
-        marks=to.marks,
+        marks=(*to.marks, *([api.TYPED] if to.mark else [])),
         sink_settings=ours,
         note=console.note,
         seconds=capture.seconds,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from measure import api
 from measure.errors import ConfigError, MeasureError
 
+CALIBRATION = "calibration.toml"  # In the folder: the newest, whichever page made it
 _PATIENCE_S = 3.0  # Longest wait for cameras to be closed
 _CAMERAS = "cameras.txt"  # In the folder: NAME=ADDRESS a line, without those that hold a secret
 
@@ -185,6 +186,27 @@ class Bench:
         if not self.cameras:
             raise ConfigError("there is no camera yet: add them on the page Cameras")
         return [one.below(self.folder) for one in self.cameras]
+
+    def record(
+        self,
+        job: Job,
+        cameras: list[api.CameraAddress],
+        session: Path,
+        seconds: float | None,
+        calibration: Path | None,
+        bodies: Sequence[Path] = (),
+    ) -> api.RecordedSession:
+        """Record into a session, as part of a job."""
+        look, stop = self.preview.add, job.stop
+        options = api.CaptureOptions(self.request, seconds=seconds, on_image=look, stop=stop)
+        return api.record(
+            cameras,
+            session,
+            options,
+            calibration=calibration,
+            bodies=bodies,
+            on_state=self.note_counts,
+        )
 
     def stop(self) -> None:
         """End what goes on, as an interrupt would."""

@@ -10,10 +10,10 @@ from nicegui import ui
 
 from measure import api
 from measure.errors import ConfigError
-from measure.studio.bench import Bench, Job
-from measure.studio.layout import choice, chosen, link, page, picture, told, tried
+from measure.studio.bench import CALIBRATION, Bench, Job
+from measure.studio.layout import act, choice, chosen, link, page, picture, told
 
-CALIBRATION = "calibration.toml"
+_REST_S, _REST_POSES = 2.0, 10  # How long, and how often, a body at rest is measured at least
 _ADVISED = 4  # Pieces of advice that are shown at a time
 
 
@@ -85,6 +85,28 @@ class _Wave:
 
         self.bench.begin("moving the world", work)
 
+    def world_by_body(self, body: Path | None) -> None:
+        """Put the world where a body rests now: it is measured for some seconds."""
+        if body is None:
+            raise ConfigError("choose the body that lies at rest")
+        bench, out = self.bench, self.bench.folder / CALIBRATION
+        cameras, run = bench.addresses(), bench.folder / api.next_free(bench.folder, "world")
+        times_s: list[float] = []
+
+        def work(job: Job) -> str:
+            def hear(state: api.LiveState) -> None:
+                times_s.append(state.latest[0].time_s)
+                if len(times_s) >= _REST_POSES and times_s[-1] - times_s[0] > _REST_S:
+                    job.stop.set()
+
+            made = api.LiveOptions(stop=job.stop, request=bench.request, on_image=bench.preview.add)
+            profile = api.load_profile()
+            api.live(cameras, run, out, [body], profile, bench.registry, made, hear)
+            api.write_calibration(out, api.world(out, run)[0])
+            return f"{CALIBRATION}: the world is the frame of {body.name}, as it lay"
+
+        bench.begin("measuring the body at rest", work, needs_cameras=True)
+
     def advice(self) -> str:
         """What to do next, in a few lines."""
         return "" if self.state is None else "\n".join(self.state.advice[:_ADVISED]) or "enough"
@@ -123,20 +145,20 @@ def _steps(bench: Bench, wave: _Wave) -> None:
     with ui.row().classes("line"):
         board = ui.select([*own, *api.shipped_targets()], label="Board").classes("field")
         board.bind_value(wave, "board")
-        ui.button("Draw it", icon="print", on_click=lambda: tried(wave.draw))
+        act("Draw it", "print", wave.draw)
         link("PDF, to print at 100 %", bench, lambda: wave.printed)
         body = choice("Body to be measured", bench, there.bodies)
         goal = ui.number("Goal at the body, mm", min=0.001, step=0.01)
         goal.bind_value(wave, "goal_mm")
 
-    async def with_body(work: Callable[[Path | None], None]) -> None:
-        await tried(lambda: work(next(iter(chosen(bench, body)), None)))
+    def with_body(work: Callable[[Path | None], None]) -> Callable[[], None]:
+        return lambda: work(next(iter(chosen(bench, body)), None))
 
     with ui.row().classes("line"):
-        ui.button("Wave the board", icon="waving_hand", on_click=lambda: with_body(wave.take))
-        ui.button("Calibrate", icon="tune", on_click=lambda: with_body(wave.calibrate))
-        world = ui.button("World: the board as it lies", icon="my_location")
-        world.on_click(lambda: tried(wave.world))
+        act("Wave the board", "waving_hand", with_body(wave.take))
+        act("Calibrate", "tune", with_body(wave.calibrate))
+        act("World: the board as it lies", "my_location", wave.world)
+        act("World: the body at rest", "my_location", with_body(wave.world_by_body))
 
 
 def _progress(wave: _Wave) -> None:

@@ -14,7 +14,13 @@ from measure.errors import MeasureError
 from measure.studio.bench import Bench
 
 _T = TypeVar("_T")
-PAGES = (("/", "Cameras"), ("/calibration", "Calibration"), ("/measure", "Measure"))
+PAGES = (
+    ("/", "Cameras"),
+    ("/calibration", "Calibration"),
+    ("/marks", "Marks"),
+    ("/body", "Body"),
+    ("/measure", "Measure"),
+)
 _HEAD = """<link rel="stylesheet" href="/studio/studio.css">
 <script defer src="/studio/studio.js"></script>"""
 
@@ -65,6 +71,16 @@ async def tried(work: Callable[[], _T]) -> _T | None:
     return None
 
 
+def act(text: str, icon: str, work: Callable[[], str | None]) -> ui.button:
+    """A button that does something, and tells what came of it."""
+
+    async def pressed() -> None:
+        if said := await tried(work):
+            ui.notify(said, type="positive")
+
+    return ui.button(text, icon=icon, on_click=pressed)
+
+
 def choice(
     label: str, bench: Bench, files: Sequence[Path], several: bool = False, newest: bool = True
 ) -> ui.select:
@@ -100,6 +116,15 @@ def picture(camera: str, width_px: int) -> ui.element:
     """The newest picture of a camera, which the browser fetches again a few times a second."""
     shown = ui.element("img").classes("live")
     return shown.props(f'data-live="/picture/{camera}?width={width_px}" alt="{camera}"')
+
+
+def camera_card(bench: Bench, name: str, width_px: int, line: Callable[[], str]) -> ui.element:
+    """The picture of a camera with a line below it; red while it is away."""
+    with ui.card() as card:
+        shown = picture(name, width_px)
+        told(line)
+        ui.timer(0.5, lambda: put(card, "away", bool(bench.problem(name))))
+    return shown
 
 
 def put(element: ui.element, name: str, there: bool) -> None:

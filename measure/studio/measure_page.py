@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from nicegui import ui
 from measure import api
 from measure.errors import ConfigError
 from measure.studio.bench import Bench, Job
-from measure.studio.layout import choice, chosen, link, page, picture, put, told, tried
+from measure.studio.layout import act, camera_card, choice, chosen, link, page, told, tried
 
 _LISTED = 8  # Rests, and events, that are listed, the latest
 _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
@@ -40,19 +41,10 @@ class _Live:
         """Record until it is stopped."""
         bench, session = self.bench, self._next("session")
         cameras, calibration = bench.addresses(), next(iter(calibrations), None)
-        look = bench.preview.add
-        options = api.CaptureOptions(bench.request, seconds=self.seconds, on_image=look)
 
         def work(job: Job) -> str:
             self.session, self.run, self.report = session, None, None
-            recorded = api.record(
-                cameras,
-                session,
-                replace(options, stop=job.stop),
-                calibration=calibration,
-                bodies=bodies,
-                on_state=bench.note_counts,
-            )
+            recorded = bench.record(job, cameras, session, self.seconds, calibration, bodies)
             pictures = sum(count.pictures for count in recorded.cameras.values())
             return f"{session.name}: {pictures} pictures of {len(cameras)} cameras"
 
@@ -134,7 +126,7 @@ def add(bench: Bench) -> None:
             ui.timer(1.0, lambda: _show_viewer(frame, live.shown))
             with ui.element("div").classes("cards"):
                 for one in bench.cameras:
-                    _view(bench, one.name)
+                    camera_card(bench, one.name, 320, partial(_camera_line, bench, one.name))
 
 
 def _settings(bench: Bench, live: _Live) -> None:
@@ -148,23 +140,20 @@ def _settings(bench: Bench, live: _Live) -> None:
         ui.checkbox("keep the pictures").bind_value(live, "keep")
         ui.checkbox("3-D viewer").bind_value(live, "viewer").set_enabled(bench.local)
 
-    async def record() -> None:
-        await tried(lambda: live.record(chosen(bench, calibration), chosen(bench, bodies)))
+    def given() -> tuple[list[Path], list[Path]]:
+        return chosen(bench, calibration), chosen(bench, bodies)
 
-    async def measure() -> None:
-        await tried(lambda: live.measure(chosen(bench, calibration), chosen(bench, bodies)))
-
-    async def mark() -> None:
+    def mark() -> None:
         if (run := live.run) is not None and bench.busy:
-            await tried(lambda: api.mark_event(run, what.value or "event"))
+            api.mark_event(run, what.value or "event")
 
     with ui.row().classes("line"):
-        ui.button("Record", icon="fiber_manual_record", on_click=record)
-        ui.button("Measure", icon="straighten", on_click=measure)
-        ui.button("Mark (M)", icon="flag", on_click=mark)
+        act("Record", "fiber_manual_record", lambda: live.record(*given()))
+        act("Measure", "straighten", lambda: live.measure(*given()))
+        act("Mark (M)", "flag", mark)
         what = ui.input("Event", value="event")
     ui.keyboard(
-        lambda pressed: mark() if pressed.action.keydown and pressed.key == "m" else None,
+        lambda pressed: tried(mark) if pressed.action.keydown and pressed.key == "m" else None,
         ignore=["input", "textarea"],
     )
 
@@ -234,8 +223,8 @@ def _afterwards(bench: Bench, live: _Live) -> None:
     """What can be made of the run, or of the recording."""
     with ui.row().classes("line"):
         link("Report", bench, lambda: live.report)
-        checks = ui.button("Check", on_click=lambda: tried(live.check))
-        compares = ui.button("Evaluate", on_click=lambda: tried(live.evaluate))
+        checks = act("Check", "rule", live.check)
+        compares = act("Evaluate", "compare", live.evaluate)
 
     def show() -> None:
         checks.set_visibility(live.session is not None and not bench.busy)
@@ -249,13 +238,6 @@ def _show_viewer(frame: ui.element, address: str) -> None:
     frame.set_visibility(bool(address))
     if frame.props.get("src", "") != address:
         frame.props(f'src="{address}"')
-
-
-def _view(bench: Bench, name: str) -> None:
-    with ui.card() as card:
-        picture(name, 320)
-        told(lambda: _camera_line(bench, name))
-        ui.timer(0.5, lambda: put(card, "away", bool(bench.problem(name))))
 
 
 def _camera_line(bench: Bench, name: str) -> str:

@@ -19,7 +19,7 @@ from starlette.responses import FileResponse, PlainTextResponse, Response
 
 from measure import api
 from measure.errors import ConfigError, MeasureError
-from measure.studio import calibration_page, cameras_page, measure_page
+from measure.studio import body_page, calibration_page, cameras_page, marks_page, measure_page
 from measure.studio.bench import Bench
 from measure.studio.door import Door
 
@@ -109,7 +109,7 @@ def _application(bench: Bench) -> FastAPI:
 
     static = resources.files("measure.studio") / "static"
     pages.add_static_files("/studio", str(static))
-    for page in (cameras_page, calibration_page, measure_page):
+    for page in (cameras_page, calibration_page, marks_page, body_page, measure_page):
         page.add(bench)
     ui.run_with(
         application,

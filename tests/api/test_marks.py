@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import threading
 import time
@@ -11,7 +12,7 @@ import pylsl
 import pytest
 
 from benchmarks.sinks import HOST, free_port, write_run
-from measure.api import PlayOptions, mark_event, play
+from measure.api import TYPED, PlayOptions, mark_event, play
 from measure.api.marks import marks_received
 from measure.errors import ConfigError
 from measure.host import Registry
@@ -53,6 +54,33 @@ def test_marks_by_lsl_have_the_time_that_the_lab_gave_them():
     ((time_s, text),) = got
     assert text == "stimulus"
     assert time_s == pytest.approx(at_s, abs=0.05)
+
+
+def test_typed_lines_are_marks_and_an_empty_one_is_an_event(monkeypatch, caplog):
+    """The end of the input is told in one line; nothing else comes of it."""
+    got, (there, here) = [], os.pipe()
+    with os.fdopen(there) as stream, receiver_typed(monkeypatch, stream, got):
+        begun_s = clock_s()
+        for text in (b"gras", b"ped\n\n", b"let go  \n"):
+            os.write(here, text)
+        wait_for(lambda: len(got) == 3)
+        os.close(here)
+        wait_for(lambda: caplog.messages)
+    assert [text for _, text in got] == ["grasped", "event", "let go"]
+    assert all(begun_s <= time_s <= clock_s() for time_s, _ in got)
+    assert len(caplog.messages) == 1
+    assert "no more marks can be typed; measuring goes on" in caplog.text
+
+
+def test_without_an_input_marks_cannot_be_typed_and_nothing_else_suffers(monkeypatch, caplog):
+    with receiver_typed(monkeypatch, None, []):
+        wait_for(lambda: caplog.messages)
+    assert len(caplog.messages) == 1
+
+
+def receiver_typed(monkeypatch, stream, got):
+    monkeypatch.setattr("sys.stdin", stream)
+    return receiver_of(TYPED, got)
 
 
 @pytest.mark.parametrize("address", ["udp://:0", "udp:5", "tcp://:5", "lsl:", "5005"])

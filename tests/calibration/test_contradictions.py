@@ -107,14 +107,6 @@ def test_a_camera_moved_between_its_two_pictures(world: Rig) -> None:
         check(world, boards(world), marks)
 
 
-def test_marks_in_one_plane_do_not_locate_a_camera(world: Rig) -> None:
-    marks = world.observations.marks["cam0"]
-    flat = markers()[marks.ids][:, 2] < 250
-    low = replace(marks, ids=marks.ids[flat], pixels=marks.pixels[flat])
-    with pytest.raises(CalibrationError, match="must not lie in one plane"):
-        start_from_marks("cam0", world.start[0].intrinsics, FIELD, low)
-
-
 def test_marks_of_mixed_names_locate_no_camera(world: Rig) -> None:
     marks = world.observations.marks["cam0"]
     mixed = replace(marks, ids=np.random.default_rng(0).permutation(marks.ids))

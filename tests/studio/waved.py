@@ -13,7 +13,7 @@ from measure.model import Camera, Intrinsics
 
 TARGET = "charuco_8x5_27"
 SIZE_WH = (640, 480)
-_PX_PER_MM, _FINER = 4, 3
+_PX_PER_MM, _FINER, _DOT_MM = 4, 3, 2.0
 
 
 def board() -> Charuco:
@@ -76,3 +76,23 @@ def picture(camera: Camera, world_from_board: RigidTransform, rng: np.random.Gen
     small = cv2.resize(seen, SIZE_WH, interpolation=cv2.INTER_AREA)
     levels = 30 + 0.75 * cv2.GaussianBlur(small, (0, 0), 0.6) + rng.normal(0, 1.5, small.shape)
     return np.dstack([np.clip(levels, 0, 255).astype(np.uint8)] * 3)
+
+
+def dots(camera: Camera, points: Floats) -> Bytes:
+    """Bright dots of 2 mm radius at places (n, 3) on a dark ground, as a camera shows them."""
+    width, height = camera.intrinsics.size_wh
+    light = np.full((height, width), 0.05)
+    ways = points - camera.center
+    for (u, v), way in zip(camera.project(points), ways, strict=True):
+        radius = _DOT_MM * camera.intrinsics.focal_px / np.linalg.norm(way)
+        x, y = round(u) - 20, round(v) - 20
+        if not (0 <= x < width - 41 and 0 <= y < height - 41):
+            continue
+        grid = (np.arange(41 * _FINER) + 0.5) / _FINER - 0.5
+        across, down = np.meshgrid(grid + x - u, grid + y - v)
+        disc = (np.hypot(across, down) < radius) * 0.6
+        small = cv2.resize(disc, (41, 41), interpolation=cv2.INTER_AREA)
+        light[y : y + 41, x : x + 41] = np.maximum(light[y : y + 41, x : x + 41], 0.05 + small)
+    blurred = cv2.GaussianBlur(light, (0, 0), 0.7)
+    code = np.where(blurred < 0.0031308, 12.92 * blurred, 1.055 * blurred ** (1 / 2.4) - 0.055)
+    return np.dstack([np.rint(255 * code).astype(np.uint8)] * 3)

@@ -26,3 +26,56 @@ async function refresh() {
 }
 
 setInterval(refresh, period);
+
+// Pictures marked `marked` are shown enlarged about the pointer, with the marks where they were
+// refined to. A pixel's centre is at integers; canvas and overlay count from the picture's corner.
+const across = 33;
+let pointer = null;
+
+document.addEventListener("pointermove", (event) => {
+  const shown = event.target.closest?.(".marked");
+  if (shown) {
+    const image = shown.querySelector("img"), box = image.getBoundingClientRect();
+    const scale = image.naturalWidth / box.width;
+    pointer = { shown, u: (event.clientX - box.left) * scale, v: (event.clientY - box.top) * scale };
+    magnify();
+  }
+});
+
+function magnify() {
+  const canvas = document.querySelector("canvas.magnifier");
+  if (!canvas || !pointer?.shown.isConnected) return;
+  const context = canvas.getContext("2d"), zoom = canvas.width / across;
+  const left = Math.floor(pointer.u) - (across - 1) / 2, top = Math.floor(pointer.v) - (across - 1) / 2;
+  context.imageSmoothingEnabled = false;
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  context.drawImage(pointer.shown.querySelector("img"), left, top, across, across, 0, 0, canvas.width, canvas.height);
+  for (const mark of pointer.shown.querySelectorAll("circle.mark")) {
+    const [u, v, radius] = ["cx", "cy", "r"].map((name) => zoom * Number(mark.getAttribute(name)));
+    stroke(context, getComputedStyle(mark).stroke, u - zoom * left, v - zoom * top, radius);
+  }
+  stroke(context, "#ffffff", zoom * (pointer.u - left), zoom * (pointer.v - top), 0);
+}
+
+function stroke(context, color, x, y, radius) {
+  context.strokeStyle = color;
+  context.beginPath();
+  if (radius) context.arc(x, y, radius, 0, 2 * Math.PI);
+  for (const [a, b] of [[9, 0], [0, 9]]) {
+    context.moveTo(x - a, y - b);
+    context.lineTo(x + a, y + b);
+  }
+  context.stroke();
+}
+
+setInterval(magnify, period);
+
+// Where a picture was clicked, as shares of its width and height: it may have bars beside it.
+window.sharesOf = ({ target: image, clientX, clientY }) => {
+  const box = image.getBoundingClientRect();
+  const scale = Math.min(box.width / image.naturalWidth, box.height / image.naturalHeight);
+  return [
+    0.5 + (clientX - box.left - box.width / 2) / (scale * image.naturalWidth),
+    0.5 + (clientY - box.top - box.height / 2) / (scale * image.naturalHeight),
+  ];
+};

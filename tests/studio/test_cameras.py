@@ -1,0 +1,58 @@
+"""In a browser: cameras fall out and come back; and what cannot be served is refused."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+
+from measure.cli import main
+from tests.chromium import Chromium, find_chromium
+from tests.faults.cameras import FAULTS
+from tests.faults.hostile_camera import HostileCamera, hostile
+from tests.studio.desk import studio
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine"),
+]
+SHOWN = "document.querySelectorAll('img.live[src^=blob]').length == {}"
+STATE = "document.querySelector('[data-camera={}]')?.innerText.includes('{}')"
+
+
+def pictures(session, k):
+    return [file.read_bytes() for file in sorted((session / f"cam{k}").glob("*.jpg"))]
+
+
+def test_a_camera_that_falls_out_is_red_at_once_and_comes_back(still, tmp_path):
+    """And one that was never there holds up no other."""
+    camera = HostileCamera(pictures(still, 0), period_s=0.1)
+    stall = next(fault for fault in FAULTS if fault.name == "stall")
+    away = "!!document.querySelector('[data-camera=cam0].away')"
+    with hostile([camera]) as found, Chromium(420, 800, dark=True) as page:
+        (address,) = found
+        words = (f"cam0={address}", "cam1=http://127.0.0.1:1/x")
+        with studio(tmp_path, *words) as url:
+            page.open(url)
+            page.wait_for(f"!{away} && {SHOWN.format(1)}", 30)
+            page.wait_for(STATE.format("cam1", "Connection refused"), 20)
+            camera.fault = stall
+            page.wait_for(away, 5)
+            camera.fault = None
+            page.wait_for(f"!{away}", 30)
+            width = page.evaluate("document.documentElement.scrollWidth")
+            assert width <= 420
+
+
+def test_what_cannot_be_served_is_refused_in_one_line(tmp_path, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        assert main(["studio", str(tmp_path), "--port", port, "--no-browser"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"127.0.0.1, port {port}: nothing can listen there" in line
+    outside = tmp_path / "outside.mp4"
+    outside.touch()
+    command = ["studio", str(tmp_path / "desk"), f"cam0={outside}", "--port", "0", "--no-browser"]
+    assert main(command) == 2
+    assert "lies outside" in capsys.readouterr().err
