@@ -19,6 +19,7 @@ _CLIP_SDS = 8.0  # scaled features are clipped to this many SDs
 _STRANGE_SHARE = 0.01  # of rows that were not learnt from is called unfamiliar
 _LIMITS = 0.8, 1.5  # least and largest distance from which on a state is
 _FADING = 0.7  # of the travel, at each step of the training's rate
+_ROUND = 3.0  # recordings' worth of offsets of one size in all directions: those of a 3-D prior
 _ROUNDS, _LEAST = 6, 0.05  # of the fit of growth, and of the mean square that it may expect
 DOUBTS = 4  # range, distance, travel, spread: what the covariance may grow with
 
@@ -161,6 +162,10 @@ class Trust:
 
         residual, noise = judged.residuals_mm, judged.labels.mean(axis=0)
         moment = residual.T @ residual / len(residual)
+        offsets, count = judged.offsets_mm, len(judged.offsets_mm)
+        offset = offsets.T @ offsets / count  # its shape, of a few, is half chance
+        round_ = np.trace(offset) / 3.0 * np.eye(3)
+        moment += _ROUND / (count + _ROUND) * (round_ - offset)
         values, axes = np.linalg.eigh(moment - noise)
         floor = 0.05 * np.linalg.eigvalsh(moment).max() + 1e-6
         moment = (axes * np.maximum(values, floor)) @ axes.T
