@@ -36,7 +36,7 @@ _STATE = struct.Struct("<4sQdH")
 _ANSWER = struct.Struct("<4sQdB9f")
 _TRUE = struct.Struct("<4sQ4f")
 _STATE_MAGIC, _ANSWER_MAGIC, _TRUE_MAGIC = b"TBs1", b"TBe1", b"TBp1"
-_UPPER = np.triu_indices(3)
+_UPPER = [0, 1, 2, 4, 5, 8]  # places of the upper triangle in a covariance
 STATUS = {reason: code for code, reason in enumerate(Refusal, start=2)}
 _REASON = {code: reason for reason, code in STATUS.items()}
 LARGEST = 65_507  # bytes in a datagram
@@ -104,7 +104,8 @@ class AnswerPacket:
             numbers = [float("nan")] * 9
             status = STATUS[self.answer]
         else:
-            numbers = [*self.answer.error_mm, *self.answer.covariance[_UPPER]]
+            covariance = self.answer.covariance.take(_UPPER)
+            numbers = self.answer.error_mm.tolist() + covariance.tolist()
             status = int(self.answer.unfamiliar)
         return _ANSWER.pack(_ANSWER_MAGIC, self.sequence, self.time_s, status, *numbers)
 
@@ -117,7 +118,7 @@ class AnswerPacket:
         if status > 1:
             return cls(sequence, time_s, _REASON[status])
         covariance = np.zeros((3, 3))
-        covariance[_UPPER] = numbers[3:]
+        covariance.put(_UPPER, numbers[3:])
         covariance = covariance + np.triu(covariance, 1).T
         return cls(sequence, time_s, Correction(np.array(numbers[:3]), covariance, status == 1))
 

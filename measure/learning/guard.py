@@ -98,9 +98,11 @@ class GuardedModel:
                 new trajectory, the robot's program was started again; so do two numbers that
                 follow each other, but not the last one.
         """
+        if (reason := unfit(self.model, state, time_s)) is not None:
+            return self.counters.refuse(reason)
         if sequence is not None and self._begins_anew(sequence):
             self.reset()
-        reason = self._judge(state, time_s, sequence)
+        reason = self._judge(time_s, sequence)
         if reason in (Refusal.STALE, Refusal.LEAP) and self._clock_was_set(time_s):
             self.reset()
         elif reason is not None:
@@ -167,9 +169,7 @@ class GuardedModel:
         self._stray_time_s = time_s if far else np.nan
         return bool(far and 0 < time_s - stray <= _MAX_PAUSE_S)
 
-    def _judge(self, state: Floats, time_s: float, sequence: int | None) -> Refusal | None:
-        if (reason := unfit(self.model, state, time_s)) is not None:
-            return reason
+    def _judge(self, time_s: float, sequence: int | None) -> Refusal | None:
         last = self._last_sequence
         step = 1 if sequence is None or last is None else sequence - last
         if not 0 < step <= _MAX_LOST_IN_A_ROW:

@@ -116,9 +116,8 @@ class EstimateServer:
         packet = StatePacket.unpack(data)
         if packet is None:
             return AnswerPacket(0, float("nan"), self.counters.refuse(Refusal.MALFORMED))
-        if not math.isfinite(packet.time_s):
-            reason: Refusal | None = Refusal.NOT_A_NUMBER
-        else:
+        reason = None if math.isfinite(packet.time_s) else Refusal.NOT_A_NUMBER
+        if reason is None and sender not in self._histories:  # else its history checks the state
             reason = unfit(self._model, packet.state, packet.time_s)
         if reason is not None:
             return AnswerPacket(packet.sequence, packet.time_s, self.counters.refuse(reason))
@@ -145,8 +144,10 @@ class EstimateServer:
         history = self._histories.get(sender) or self._admitted(sender)
         if history is None:
             return self.counters.refuse(Refusal.CROWDED)
-        history.heard_s = self._clock()
-        return history.guarded.update(packet.state, packet.time_s, packet.sequence)
+        answer = history.guarded.update(packet.state, packet.time_s, packet.sequence)
+        if not isinstance(answer, Refusal):
+            history.heard_s = self._clock()
+        return answer
 
     def _admitted(self, sender: Sender) -> _History | None:
         """A new sender's history; None while all that there is room for are active."""
