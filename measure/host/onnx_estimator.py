@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DivergedError, EstimatorError
 from measure.host.dataset import Dataset, recording_of
-from measure.host.estimator import Correction, Estimator, LeftOut, Report
+from measure.host.estimator import Correction, Estimator, LeftOut, Report, quiet
 from measure.host.judging import DOUBTS, UNJUDGED, Judged, Novelty, Travel, Trust
 from measure.host.onnx_graph import Graph, Value
 from measure.host.onnx_model import FORMAT, OnnxModel, contract
@@ -47,9 +47,11 @@ class OnnxEstimator(Estimator):
 
     Attributes:
         memoryless: whether a correction depends on the present state alone.
+        first: what learns before this one; see `after`.
     """
 
     memoryless = False
+    first: OnnxEstimator | None = None
 
     def __init__(self, config: Settings) -> None:
         super().__init__(config)
@@ -74,6 +76,12 @@ class OnnxEstimator(Estimator):
     def draft(self) -> Settings:
         """Settings of the fits that leave recordings out; they may be those of a cheaper fit."""
         return self.config
+
+    def after(self, first: OnnxEstimator) -> Self:
+        """Learn what `first` leaves, which learns before, from the same; both are one graph."""
+        self.name = f"{self.name} after {first.name}"  # type: ignore[misc]  # of this pair alone
+        self.first, self.memoryless = first, self.memoryless and first.memoryless
+        return self
 
     def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Learn from all, then with groups of recordings left out, and fit the covariance.
@@ -102,7 +110,7 @@ class OnnxEstimator(Estimator):
         self, held: Sequence[str], data: Dataset, validation: Dataset, *, seed: int, report: Report
     ) -> Judged:
         """What a fit without some trajectories, and others of their recordings, leaves of them."""
-        twin = type(self)(self.draft())
+        twin = self._twin()
         twin.folds = 0
         if self.checkpoint is not None:
             twin.checkpoint = self.checkpoint / f"without_{held[0].replace('/', '_')}"
@@ -116,17 +124,46 @@ class OnnxEstimator(Estimator):
         twin.fit(rest, left if too_few else other, seed=seed, report=report)
         return twin._judge(left)  # noqa: SLF001 - of its own class
 
+    def _twin(self) -> Self:
+        """The same, to be fitted to less."""
+        twin = type(self)(self.draft())
+        return twin if self.first is None else twin.after(self.first._twin())  # noqa: SLF001
+
     def _learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         self._schema = data.schema
         steps = np.concatenate([np.diff(data.times_s[rows]) for _, rows in data.runs()])
         known = steps[np.isfinite(steps) & (steps > 0)]
         self._period_s = float(np.median(known)) if len(known) else 0.0
-        self._novelty = Novelty.of(data, validation, self.watched(data))
+        watched = {*self.watched(data), *(self.first.watched(data) if self.first else ())}
+        self._novelty = Novelty.of(data, validation, sorted(watched))
         self._travel = None if self.memoryless else Travel.of(data.schema, data.states)
         self._trust, self._offset_sd_mm = UNJUDGED, None
         reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
         self._joint_sd = (data.states @ reading).std(axis=0).tolist()
+        if (first := self.first) is not None:
+            first._learn(data, validation, seed=seed, report=quiet)  # noqa: SLF001
+            done = OnnxModel(first._build({}))  # noqa: SLF001
+            data, validation = (
+                replace(part, errors_mm=part.errors_mm - done.predict(part).errors_mm)
+                for part in (data, validation)
+            )
+            self.findings = first.findings
         self.learn(data, validation, seed=seed, report=report)
+
+    def _compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
+        """What `first` and this one correct together; the memory of `first` stands first."""
+        if (first := self.first) is None:
+            return self.compute(graph, features, memory, tick)
+        size = first._compute(Graph(), features, memory, tick).memory_size  # noqa: SLF001
+        head = first._compute(graph, features, _slice(graph, memory, 0, size), tick)  # noqa: SLF001
+        tail = self.compute(graph, features, _slice(graph, memory, size, _END), tick)
+        kept = [part.memory for part in (head, tail) if part.memory is not None]
+        return Core(
+            graph.op("Add", head.error, tail.error),
+            graph.op("Concat", *kept, axis=1) if kept else None,
+            tail.spread or head.spread,
+            size + tail.memory_size,
+        )
 
     def save(self, path: Path, card: Mapping[str, Any]) -> None:
         """Write the ONNX file."""
@@ -153,12 +190,10 @@ class OnnxEstimator(Estimator):
         memory, nothing = "memory", graph.op("Mul", "tick", np.float32(0.0))
         own, travel = None, nothing
         if self._travel is not None:
-            own, memory = (
-                graph.op("Slice", "memory", *(graph.constant([v], np.int64) for v in (*ends, 1)))
-                for ends in ((0, self._travel.size), (self._travel.size, _END))
-            )
+            own = _slice(graph, "memory", 0, self._travel.size)
+            memory = _slice(graph, "memory", self._travel.size, _END)
             travel, own = self._travel.in_graph(graph, "features", own, "tick")
-        core = self.compute(graph, "features", memory, "tick")
+        core = self._compute(graph, "features", memory, "tick")
         ranged, distance = self._novelty.in_graph(graph, "features")
         farther = graph.op("Max", ranged, distance)
         strangeness = graph.op("Mul", farther, np.float32(1.0 / self._trust.limit))
@@ -217,6 +252,10 @@ class OnnxEstimator(Estimator):
         recordings = np.array([recording_of(name) for name in data.names])[data.trajectory[used]]
         offsets = [left[recordings == one].mean(axis=0) for one in np.unique(recordings)]
         return Judged(errors, left, data.covariances[used], doubts, np.array(offsets))
+
+
+def _slice(graph: Graph, memory: Value, start: int, stop: int) -> Value:
+    return graph.op("Slice", memory, *(graph.constant([v], np.int64) for v in (start, stop, 1)))
 
 
 def _part(report: Report, index: int, count: int, prefix: str = "") -> Report:

@@ -19,6 +19,7 @@ import pluggy
 from measure.errors import MeasureError, PluginError
 from measure.host import hooks
 from measure.host.interfaces import NAME, Plugin
+from measure.host.onnx_estimator import OnnxEstimator
 from measure.host.settings import Settings, read_settings
 
 P = TypeVar("P", bound=Plugin)
@@ -250,8 +251,17 @@ class Registry:
         `context` is what its class takes beside its settings: `body` and `camera` of a detector,
         `body` of a solver, `address` and `run` of a sink. PluginError: as `find`; or it cannot be
         built, or refuses the body. ConfigError: the settings, or a sink's address, do not fit.
+        An estimator "A after B" learns what B leaves; the settings are those of A.
         """
         kind = next(kind.name for kind in hooks.KINDS if kind.interface is interface)
+        last, after, first = name.partition(" after ")
+        if after:
+            built, before = self.build(interface, last, settings), self.build(interface, first, {})
+            if isinstance(built, OnnxEstimator) and isinstance(before, OnnxEstimator):
+                return built.after(before)
+            raise PluginError(
+                f"{kind} '{last}' cannot learn what '{first}' leaves: both must be OnnxEstimators"
+            )
         loaded = self.find(kind, name)
         config = read_settings(loaded.plugin.Config, settings, f"{kind} '{name}'")
         plugin: Any = loaded.plugin
