@@ -24,6 +24,7 @@ from measure.learning.offsets import (
     OffsetFollower,
     Zeroing,
     fit_zeroing,
+    without_restarts,
 )
 from measure.reading import candidates, time_columns
 from measure.robots import LogFile, StateSchema, check_robot, feature_columns, is_table, log_pieces
@@ -219,7 +220,8 @@ def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> di
 
 def follower_of(model: OnnxModel) -> OffsetFollower:
     """What follows the offsets by true positions, as large as they were in training."""
-    return OffsetFollower(model.schema, _prior_sd_mm(model))
+    restarts_mm = model.facts.get("offset_sd_mm", 0.0)
+    return OffsetFollower(model.schema, _prior_sd_mm(model), restarts_mm)
 
 
 def _prior_sd_mm(model: OnnxModel) -> float:
@@ -242,7 +244,8 @@ def rezero(
         spread_sd=np.array(model.facts.get("joint_sd", [])),
     )
     monitor = monitor or DriftMonitor()
-    stated = estimates.covariances[used] + stretch.covariances[used] + zeroing.covariance
+    stated = without_restarts(estimates.covariances[used], model.facts.get("offset_sd_mm", 0.0))
+    stated = stated + stretch.covariances[used] + zeroing.covariance
     left = residuals - zeroing.offset_mm(stretch.states[used])
     for residual, covariance in zip(left, stated, strict=True):
         monitor.add(residual, covariance)

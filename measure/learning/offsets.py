@@ -175,12 +175,16 @@ class OffsetFollower:
     """Offsets (joints, if known, and base) that fade to zero, corrected by every true pose.
 
     The stated covariance of the model holds offsets of unseen recordings already: it is left as
-    it is, and is that of the measurement. The drift monitor takes the innovations.
+    it is, and is that of the measurement. The drift monitor takes the innovations, and the
+    covariance without them.
     """
 
-    def __init__(self, schema: StateSchema, prior_sd_mm: float = PRIOR_SD_MM) -> None:
+    def __init__(
+        self, schema: StateSchema, prior_sd_mm: float = PRIOR_SD_MM, restarts_mm: float = 0.0
+    ) -> None:
+        """Learnt with offsets of SD `restarts_mm` per axis in the stated covariance, if any."""
         self.monitor = DriftMonitor()
-        self._schema, self._prior = schema, prior_sd_mm**2
+        self._schema, self._prior, self._restarts_mm = schema, prior_sd_mm**2, restarts_mm
         self._lever: Floats | None = None
         self.forget()
 
@@ -220,7 +224,8 @@ class OffsetFollower:
         innovation = true_mm - reported - correction.error_mm - design @ self._mean
         across = self._spread @ design.T
         stated = design @ across + correction.covariance + covariance
-        self.monitor.add(innovation, stated)
+        settled = without_restarts(correction.covariance, self._restarts_mm)
+        self.monitor.add(innovation, stated - correction.covariance + settled)
         gain = np.linalg.solve(stated, across.T).T
         self._mean = self._mean + gain @ innovation
         self._spread = self._spread - gain @ across.T
@@ -247,6 +252,18 @@ class OffsetFollower:
             slides = [joint.prismatic for joint in chain.joints]
             self._lever = np.where(slides, 1.0, self._lever)
         return np.concatenate([jacobian / self._lever, np.eye(3)], axis=1)
+
+
+_LEAST_SHARE = 0.1
+
+
+def without_restarts(covariance: Floats, restarts_mm: float) -> Floats:
+    """Stated covariances (..., 3, 3) less the share of offsets, of an SD per axis, in them.
+
+    A new recording's offsets are followed or taken away, and the rest is what cables do.
+    """
+    share = 1.0 - 3.0 * restarts_mm**2 / np.trace(covariance, axis1=-2, axis2=-1)
+    return np.asarray(np.clip(share, _LEAST_SHARE, 1.0)[..., None, None] * covariance)
 
 
 @dataclass
