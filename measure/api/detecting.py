@@ -50,7 +50,6 @@ class Lens:
     calibration: Path | None = None
     camera: str | None = None
     focal_px: float | None = None
-    known: Intrinsics | None = None  # the lens itself, in place of a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,13 +87,14 @@ def detect(
     registry: Registry,
     profile: Profile,
     body: Body,
-    lens: Lens | None = None,
+    lens: Lens | Camera | None = None,
     expected: Iterable[tuple[str, tuple[float, float, float]]] = (),
     progress: Progress = quiet,
 ) -> tuple[SeenPicture, ...]:
     """Find a body's balls in single pictures.
 
     Args:
+        lens: the camera itself, or what says which it is.
         expected: balls, where their centres are and their radii in px; without any the whole
             picture is searched for all balls.
         progress: called with how many pictures are done, and of how many.
@@ -123,16 +123,14 @@ def detect(
 class LensOf:
     """The camera of a picture: calibrated, or a plain one of the picture's size."""
 
-    def __init__(self, lens: Lens) -> None:
+    def __init__(self, given: Lens | Camera) -> None:
+        lens = given if isinstance(given, Lens) else Lens()
         self._focal_px, self._calibration = lens.focal_px, lens.calibration
-        self._calibrated: Camera | None = None
+        self._calibrated = given if isinstance(given, Camera) else None
         if lens.calibration is not None:
             if lens.focal_px is not None:
                 raise ConfigError("--focal-px and --calibration both give a focal length: give one")
             self._calibrated = _chosen(lens.calibration, lens.camera)
-        elif lens.known is not None:
-            name = lens.camera or "camera"
-            self._calibrated = Camera(name, lens.known, RigidTransform.identity())
         elif lens.camera is not None:
             raise ConfigError(f"--camera {lens.camera}: give the --calibration that holds it")
         if lens.focal_px is not None and not 0 < lens.focal_px < np.inf:

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 import cv2
 import numpy as np
 
-from measure.api.detecting import Lens, detect
+from measure.api.detecting import detect
 from measure.api.folders import named_pictures
 from measure.api.profiles import load_profile
 from measure.arrays import Bytes, Floats
@@ -24,6 +24,7 @@ from measure.calibration.markers import find_markers
 from measure.calibration.procedure import check_calibrated
 from measure.calibration.targets import MarkerField, kind_of, read_markers
 from measure.errors import CalibrationError, ConfigError
+from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.model import Body, Camera, Intrinsics, paper_body
 from measure.session import dump_toml, matching_files, open_session, read_body, read_calibration
@@ -205,7 +206,7 @@ class Marking:
         found = found_tags(pixels, family)
         if balls is not None:
             body, registry = balls
-            known = Lens(camera=camera, known=lens)
+            known = Camera(camera, lens, RigidTransform.identity())
             (seen,) = detect([self.pictures[camera]], registry, load_profile(), body, known)
             found |= {d.ball: _mark(d.center_px, d.radius_px) for d in reversed(seen.detections)}
         at = {n: np.array(m.center_px) for n, m in (found | mine).items() if n in self.points}

@@ -41,7 +41,7 @@ def estimate(
     /,
     *,
     input_: Annotated[Path | None, Parameter(name="--input")] = None,
-    out: OutFile | None = None,
+    out: Annotated[OutFile | None, Parameter(name=("--out", "-o", "--output"))] = None,
     overwrite: Overwrite = False,
     rezero: Path | None = None,
     true_positions: Path | None = None,
