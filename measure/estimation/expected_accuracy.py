@@ -13,7 +13,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
-from measure.geometry import RigidTransform, skew
+from measure.geometry import RigidTransform, chart_jacobian
 from measure.model import Body, Camera, Detection
 
 _MIN_EIGENVALUE_RATIO = 1e-9
@@ -66,8 +66,7 @@ def tolerance_covariance(
         world_from_body: the pose.
         balls: names of those it was measured with.
     """
-    by_turn = -skew(body.centers_of(balls) @ world_from_body.rotation.T)
-    J = np.concatenate([np.broadcast_to(np.eye(3), by_turn.shape), by_turn], axis=2).reshape(-1, 6)
+    J = chart_jacobian(world_from_body.rotate(body.centers_of(balls))).reshape(-1, 6)
     share = np.linalg.pinv(J.T @ J, rcond=_MIN_EIGENVALUE_RATIO, hermitian=True)
     return np.asarray(body.tolerance_mm**2 * share, dtype=np.float64)
 
@@ -116,9 +115,7 @@ def pose_by_cameras(
         pose: world_from_body.
     """
     points = pose.apply(body.centers)
-    by_motion = np.concatenate(
-        [np.broadcast_to(np.eye(3), (len(points), 3, 3)), -skew(points - pose.translation)], axis=2
-    )
+    by_motion = chart_jacobian(points - pose.translation)
     normal, parts = np.zeros((6, 6)), []
     for camera in cameras:
         _, by_world, by_pose, by_lens = camera.project_with_jacobians(points)

@@ -62,30 +62,19 @@ class PointObservations:
             self.rig.take(rows), self.pixels[rows], self.noise[rows], self.shifts[rows]
         )
 
-    def residuals(self, point: Floats) -> tuple[Floats, Floats, Floats]:
-        """Measured minus predicted pixels, and derivatives of the predicted ones.
+    def residuals(self, point: Floats) -> tuple[Floats, Floats]:
+        """Measured minus predicted pixels (n, 2), and the Jacobians (n, 2, 3) of the predicted.
 
-        Args:
-            point: (3,) mm, world.
-
-        Returns:
-            Residuals (n, 2) in px, and the pixels' Jacobians by the point (n, 2, 3) and by the
-            cameras' poses (n, 2, 6), in their `perturb` charts; NaN for a camera behind which the
-            point lies.
+        By the point (3,), mm, world; NaN for a camera behind which it lies.
         """
-        from measure.estimation.pixel_sensitivity import sensitivities
-
-        predicted, by_point, by_pose = sensitivities(self.rig.rows, point + self.shifts)
-        return self.pixels - predicted, by_point, by_pose
+        predicted, by_point = self.rig.project(point + self.shifts)
+        return self.pixels - predicted, by_point
 
     def by_camera(self, point: Floats) -> Floats:
-        """Jacobians (n, 2, 18) of the pixels by the cameras' poses and intrinsics.
+        """Jacobians (n, 2, 18) of the pixels by the cameras' poses and intrinsics."""
+        from measure.model.rig_kernels import by_cameras
 
-        Of cameras without a covariance, and of intrinsics without one, they are left at zero.
-        """
-        from measure.estimation.pixel_sensitivity import by_cameras
-
-        return by_cameras(self.rig.rows, point + self.shifts, self.residuals(point)[2])
+        return by_cameras(self.rig.rows, point + self.shifts)
 
     def total_noise(self, point: Floats) -> Floats:
         """Covariances (n, 2, 2) of the residuals at `point` (3,), calibration included, px^2."""
@@ -103,7 +92,7 @@ def calibration_noise(rig: Rig, points: Floats) -> Floats:
         rig: n cameras.
         points: (n, 3) in mm, one for each camera, or one point (3,) for all.
     """
-    from measure.estimation.pixel_sensitivity import camera_noise
+    from measure.model.rig_kernels import camera_noise
 
     if not rig.uncertain:
         return np.zeros((len(rig), 2, 2))
@@ -150,7 +139,7 @@ def point_sensitivity(observations: PointObservations, point: Floats) -> tuple[F
         camera i is truly off by d, the fitted point errs by `by_camera[i] @ d`.
     """
     weight = np.linalg.inv(observations.total_noise(point))
-    _, by_point, _ = observations.residuals(point)
+    by_point = observations.residuals(point)[1]
     weighted = np.swapaxes(by_point, 1, 2) @ weight
     by_pixel = np.linalg.inv((weighted @ by_point).sum(axis=0)) @ weighted
     return by_pixel, by_pixel @ observations.by_camera(point)

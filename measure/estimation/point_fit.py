@@ -8,11 +8,10 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
-from measure.estimation.pixel_sensitivity import camera_noise
 from measure.geometry.linear_kernels import inverse, solved
 from measure.geometry.rays import MIN_PARALLAX_RAD
 from measure.model.rig import RigRows
-from measure.model.rig_kernels import project_one, ray_rows, rows_between
+from measure.model.rig_kernels import camera_noise, project_one, ray_rows, rows_between
 
 _MAX_STEPS = 12
 _STEP_TOLERANCE_MM = 1e-7
@@ -192,6 +191,6 @@ def warm_up_point_fits() -> None:
     two, noise = np.zeros((2, 3)), np.zeros((2, 2, 2))
     lenses = np.tile(np.eye(1, 16) + np.eye(1, 16, 3), (2, 1))
     turns = np.stack([np.eye(3), np.eye(3)])
-    rig = RigRows(lenses, np.full(2, np.inf), turns, two, np.zeros((2, 18, 18)), 0.0)
+    rig = RigRows(lenses, np.full(2, np.inf), turns, two, np.zeros((2, 18, 18)))
     fit_point_rows(rig, two[:, :2].copy(), noise, two, 0.0)
     fit_points(np.array([0, 2]), rig, two[:, :2].copy(), noise, 0.0)

@@ -15,7 +15,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
-from measure.geometry import RigidTransform, skew
+from measure.geometry import RigidTransform, chart_jacobian
 from measure.model import Body, Camera, Detection, Rig
 from measure.model.observations import stacked_detections
 
@@ -73,9 +73,7 @@ class PoseObservations:
             velocity: (6,) in the pose's `perturb` chart, per second.
         """
         arms = world_from_body.rotate(self.points_body)
-        by_pose = np.concatenate(
-            [np.broadcast_to(np.eye(3), (len(self), 3, 3)), -skew(arms)], axis=2
-        )
+        by_pose = chart_jacobian(arms)
         moved = self.lead_s[:, None] * (by_pose @ velocity)
         pixels, by_point = self.rig.project(arms + world_from_body.translation + moved)
         jacobian = by_point @ by_pose

@@ -8,10 +8,10 @@ from measure.geometry.covariance import (
     squared_mahalanobis,
 )
 from measure.geometry.rays import Midpoints, Rays, midpoints, nearest_point, usable_pairs
-from measure.geometry.transform import RigidTransform, align_points, skew
+from measure.geometry.transform import RigidTransform, align_points, chart_jacobian, skew
 
 __all__ = [
     "Cone", "Midpoints", "Rays", "RigidTransform", "UncertainTransform", "align_points",
-    "chi_square_quantile", "fit_cone", "midpoints",
-    "nearest_point", "propagate", "skew", "squared_mahalanobis", "tangent_cone", "usable_pairs",
+    "chart_jacobian", "chi_square_quantile", "fit_cone", "midpoints", "nearest_point", "propagate",
+    "skew", "squared_mahalanobis", "tangent_cone", "usable_pairs",
 ]  # fmt: skip

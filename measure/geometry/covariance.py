@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from measure.arrays import Floats, floats
-from measure.geometry.transform import RigidTransform, skew
+from measure.geometry.transform import RigidTransform, chart_jacobian, skew
 
 MAD_TO_SD = 1.4826
 """A normal variable's standard deviation over the median of its absolute values."""
@@ -71,5 +71,4 @@ class UncertainTransform:
 
     def point_covariance(self, point: Floats) -> Floats:
         """Covariance (3, 3) in mm^2 of where an exact source point (3,) lands."""
-        jacobian = np.hstack([np.eye(3), -skew(self.transform.rotate(point))])
-        return propagate(jacobian, self.covariance)
+        return propagate(chart_jacobian(self.transform.rotate(point)), self.covariance)

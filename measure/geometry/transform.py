@@ -33,6 +33,15 @@ def skew(vectors: ArrayLike) -> Floats:
     return out
 
 
+def chart_jacobian(arms: Floats) -> Floats:
+    """How points move with the `perturb` chart of what carries them: (..., 3, 6).
+
+    Args:
+        arms: (..., 3) of the points from the carrier's origin, in the chart's frame.
+    """
+    return np.concatenate([np.broadcast_to(np.eye(3), (*arms.shape, 3)), -skew(arms)], axis=-1)
+
+
 def _is_single(rotation: object, translation: object) -> bool:
     """Whether these are what one transform is made of, with nothing to convert."""
     return (
@@ -111,8 +120,6 @@ class RigidTransform:
     @property
     def quat_wxyz(self) -> Floats:
         """Unit quaternions (..., 4), scalar first and not negative."""
-        if self.rotation.ndim == 2:
-            return _quaternion(self.rotation)
         return np.asarray(
             Rotation.from_matrix(self.rotation).as_quat(canonical=True, scalar_first=True)
         )
@@ -167,21 +174,6 @@ class RigidTransform:
             self.translation - reference.translation, _logarithm(turn)
         )
         return np.concatenate([shift, turn], axis=-1)
-
-
-def _quaternion(rotation: Floats) -> Floats:
-    """The quaternion (4,) of one rotation (3, 3), from its largest component (Shepperd 1978)."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    sums = {  # four times the product of the largest component with each
-        a + e + i: (1 + a + e + i, h - f, c - g, d - b),
-        a: (h - f, 1 + a - e - i, b + d, c + g),
-        e: (c - g, b + d, 1 - a + e - i, f + h),
-        i: (d - b, c + g, f + h, 1 - a - e + i),
-    }
-    quat = np.array(sums[max(sums)])
-    quat /= math.sqrt(float(quat @ quat))
-    first = next((x for x in quat.tolist() if x), 1.0)
-    return -quat if first < 0 else quat
 
 
 def _exponential(rotvec: Floats) -> Floats:

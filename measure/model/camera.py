@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats, floats
-from measure.geometry import Cone, Rays, RigidTransform, skew, tangent_cone
+from measure.geometry import Cone, Rays, RigidTransform, tangent_cone
 
 if TYPE_CHECKING:
     from measure.model.rig import RigRows
@@ -78,13 +78,10 @@ class Intrinsics:
 
         NaN for points not in front of it, or so far aside that the lens model folds.
         """
-        return self._projected(floats("points_camera", points_camera, "n", 3))[0]
-
-    def _projected(self, points_camera: Floats) -> tuple[Floats, Floats]:
-        """Pixels (n, 2) and their derivatives (n, 2, 3) by the points (n, 3)."""
         from measure.model.rig_kernels import project_rows
 
-        return project_rows(self._alone, np.ascontiguousarray(points_camera))
+        points = floats("points_camera", points_camera, "n", 3)
+        return project_rows(self._alone, np.ascontiguousarray(points))[0]
 
     @cached_property
     def _alone(self) -> RigRows:
@@ -92,7 +89,7 @@ class Intrinsics:
         from measure.model.rig import RigRows
 
         place = np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 18, 18))
-        return RigRows(self.row[None], np.array([self.reach]), *place, MIN_DEPTH_MM)
+        return RigRows(self.row[None], np.array([self.reach]), *place)
 
     def project_with_jacobians(self, points_camera: ArrayLike) -> tuple[Floats, Floats, Floats]:
         """Project, with analytic derivatives.
@@ -104,13 +101,9 @@ class Intrinsics:
             Pixels (n, 2); their Jacobian by the point (n, 2, 3); and by fx fy cx cy and the eight
             distortion coefficients (n, 2, 12).
         """
-        from measure.model.rig_kernels import by_intrinsics
-
-        points = np.ascontiguousarray(floats("points_camera", points_camera, "n", 3))
-        pixels, by_point = self._projected(points)
-        by_lens = by_intrinsics(points, self.row)
-        by_lens[np.isnan(pixels[:, 0])] = np.nan
-        return pixels, by_point, by_lens
+        points = floats("points_camera", points_camera, "n", 3)
+        pixels, by_point, by_camera = _with_jacobians(self._alone, points)
+        return pixels, by_point, by_camera[:, :, 6:]
 
     def unproject(self, pixels: ArrayLike) -> Floats:
         """Unit bearings (n, 3) of pixels (n, 2); NaN where the lens model has no inverse.
@@ -174,6 +167,17 @@ def check_coefficients(distortion: Sequence[float] | Floats, model: Projection) 
         raise ValueError(f"distortion: expected 0, 4, 5 or 8 coefficients, got {given}")
     if model == "fisheye" and np.any(distortion[4:]):
         raise ValueError(f"distortion of a fisheye: expected 0 or 4 coefficients, got {given}")
+
+
+def _with_jacobians(camera: RigRows, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Pixels (n, 2), Jacobians by the points (n, 2, 3) and by pose and intrinsics (n, 2, 18)."""
+    from measure.model.rig_kernels import by_cameras, project_rows
+
+    points = np.ascontiguousarray(points)
+    pixels, by_point = project_rows(camera, points)
+    by_camera = by_cameras(camera, points)
+    by_camera[np.isnan(pixels[:, 0])] = np.nan
+    return pixels, by_point, by_camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,14 +254,11 @@ class Camera:
             Pixels (n, 2); Jacobians by the world point (n, 2, 3), by the pose's `perturb` chart
             (n, 2, 6), and by the intrinsics (n, 2, 12).
         """
+        from measure.model.rig import Rig
+
         world = floats("points_world", points_world, "n", 3)
-        pixels, by_camera, by_intrinsics = self.intrinsics.project_with_jacobians(
-            self.camera_from_world.apply(world)
-        )
-        by_world = by_camera @ self.camera_from_world.rotation
-        # Moving the camera by (dt, w) moves the point, as the camera sees it, by -dt - w x (X - t).
-        by_pose = np.concatenate([-by_world, by_world @ skew(world - self.center)], axis=2)
-        return pixels, by_world, by_pose, by_intrinsics
+        pixels, by_world, by_camera = _with_jacobians(Rig.of((self,)).rows, world)
+        return pixels, by_world, by_camera[:, :, :6], by_camera[:, :, 6:]
 
     def rays(self, pixels: ArrayLike) -> Rays:
         """World rays of pixels (n, 2)."""

@@ -24,11 +24,6 @@ FISHEYE = 13
 """Where a lens row holds the angle off the axis up to which a fisheye sees, rad; 0: a pinhole."""
 RED, BLUE = 14, 15
 """Where it holds the magnification of red and of blue against green, less 1."""
-Numbers = tuple[
-    float, float, float, float, float, float, float, float, float, float, float, float, float, float
-]
-"""A lens row without its colours as a tuple: `distort_point` and `to_pixel` take either."""
-PixelOf = Callable[[float, float, float, Numbers], tuple[float, float]]
 Slopes = Callable[[float, float, Floats], tuple[float, float, float, float]]
 NEWTON_STEPS = 20
 NEWTON_TOLERANCE = 1e-5
@@ -40,16 +35,7 @@ TINY = 1e-20
 
 
 @compiled
-def lens_numbers(lens: Floats) -> Numbers:
-    """A lens row as a tuple: the compiler keeps it in registers and vectorises the loop."""
-    return (
-        lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8], lens[9],
-        lens[10], lens[11], lens[12], lens[13],
-    )  # fmt: skip
-
-
-@compiled
-def distort_point(x: float, y: float, lens: Floats | Numbers) -> tuple[float, float]:
+def distort_point(x: float, y: float, lens: Floats) -> tuple[float, float]:
     """Distort a normalised image point; NaN beyond what a fisheye sees."""
     if lens[FISHEYE] > 0:
         return fisheye_point(x, y, lens)
@@ -65,31 +51,16 @@ def distortion_slopes(x: float, y: float, lens: Floats) -> tuple[float, float, f
 
 
 @compiled
-def to_pixel(x: float, y: float, z: float, lens: Floats | Numbers) -> tuple[float, float]:
+def to_pixel(x: float, y: float, z: float, lens: Floats) -> tuple[float, float]:
     """Pixel of a camera-frame point in front of the camera; NaN beyond what a fisheye sees."""
-    if lens[FISHEYE] > 0:
-        return fisheye_pixel(x, y, z, lens)
-    return pinhole_pixel(x, y, z, lens)
-
-
-@inlined
-def pinhole_pixel(x: float, y: float, z: float, lens: Floats | Numbers) -> tuple[float, float]:
-    """`to_pixel` of a pinhole."""
-    u, v = pinhole_point(x / z, y / z, lens)
-    return lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]
-
-
-@inlined
-def fisheye_pixel(x: float, y: float, z: float, lens: Floats | Numbers) -> tuple[float, float]:
-    """`to_pixel` of a fisheye."""
-    if not z > 0:
+    if lens[FISHEYE] > 0 and not z > 0:
         return np.nan, np.nan
-    u, v = fisheye_point(x / z, y / z, lens)
+    u, v = distort_point(x / z, y / z, lens)
     return lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]
 
 
 @inlined
-def fisheye_point(x: float, y: float, lens: Floats | Numbers) -> tuple[float, float]:
+def fisheye_point(x: float, y: float, lens: Floats) -> tuple[float, float]:
     """`distort_point` of a fisheye."""
     r = np.sqrt(max(x * x + y * y, TINY))
     angle = np.arctan(r)
@@ -111,13 +82,13 @@ def fisheye_slopes(x: float, y: float, lens: Floats) -> tuple[float, float, floa
 
 
 @inlined
-def _bent_angle(angle: float, lens: Floats | Numbers) -> float:
+def _bent_angle(angle: float, lens: Floats) -> float:
     t = angle * angle
     return angle * (1 + t * (lens[5] + t * (lens[6] + t * (lens[7] + t * lens[8]))))
 
 
 @inlined
-def _bending(angle: float, lens: Floats | Numbers) -> float:
+def _bending(angle: float, lens: Floats) -> float:
     """Derivative of `_bent_angle`."""
     t = angle * angle
     return 1 + t * (3 * lens[5] + t * (5 * lens[6] + t * (7 * lens[7] + t * 9 * lens[8])))
@@ -150,7 +121,7 @@ def fisheye_ideal(x: float, y: float, lens: Floats) -> tuple[float, float]:
 
 
 @compiled
-def pinhole_point(x: float, y: float, lens: Floats | Numbers) -> tuple[float, float]:
+def pinhole_point(x: float, y: float, lens: Floats) -> tuple[float, float]:
     """`distort_point` of a pinhole."""
     r2 = x * x + y * y
     above = 1 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[9]))

@@ -12,18 +12,17 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Floats
 from measure.geometry import Rays
-from measure.model.camera import MIN_DEPTH_MM, Camera
+from measure.model.camera import Camera
 
 
 class RigRows(NamedTuple):
-    """The arrays of n cameras as compiled code takes them, see `Rig`."""
+    """The arrays of n cameras as compiled code takes them."""
 
     lenses: Floats  # (n, 16) see `Intrinsics.row`
     reach: Floats  # (n,) ideal radii beyond which the lens models see nothing
     rotation: Floats  # (n, 3, 3) of world_from_camera
     centers: Floats  # (n, 3) projection centres in the world, mm
-    covariances: Floats  # (n, 18, 18) of pose and intrinsics; zero where unknown
-    min_depth: float  # points nearer to a camera's plane than this, mm, have no image
+    covariances: Floats  # (n, 18, 18) of pose and intrinsics (see `Camera`); zero where unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +30,7 @@ class Rig:
     """Cameras as arrays, one row per camera; a camera may stand in it more than once."""
 
     names: tuple[str, ...]  # (n,) of the cameras
-    lenses: Floats  # (n, 16) see `Intrinsics.row`
-    reach: Floats  # (n,) ideal radii beyond which the lens models see nothing
-    rotation: Floats  # (n, 3, 3) world_from_camera rotations
-    centers: Floats  # (n, 3) projection centres in the world, mm
-    covariances: Floats  # (n, 18, 18) of pose and intrinsics (see `Camera`); zero where unknown
+    rows: RigRows
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> Rig:
@@ -48,31 +43,23 @@ class Rig:
     @cached_property
     def uncertain(self) -> bool:
         """Whether anything about the cameras is stated to be uncertain."""
-        return bool(np.any(self.covariances))
+        return bool(np.any(self.rows.covariances))
 
-    @cached_property
-    def rows(self) -> RigRows:
-        """The same arrays, as compiled code takes them."""
-        return RigRows(
-            self.lenses, self.reach, self.rotation, self.centers, self.covariances, MIN_DEPTH_MM
-        )
+    @property
+    def centers(self) -> Floats:
+        """Projection centres (n, 3) in the world, mm."""
+        return self.rows.centers
 
     @property
     def focal_px(self) -> Floats:
         """Mean focal lengths (n,) in px."""
-        return (self.lenses[:, 0] + self.lenses[:, 3]) / 2
+        return (self.rows.lenses[:, 0] + self.rows.lenses[:, 3]) / 2
 
     def take(self, rows: ArrayLike) -> Rig:
         """The cameras of some `rows`, in that order."""
         index = np.asarray(rows, dtype=np.int64)
-        return Rig(
-            tuple(self.names[i] for i in index.tolist()),
-            self.lenses[index],
-            self.reach[index],
-            self.rotation[index],
-            self.centers[index],
-            self.covariances[index],
-        )
+        names = tuple(self.names[i] for i in index.tolist())
+        return Rig(names, RigRows._make(each[index] for each in self.rows))
 
     def project(self, points_world: Floats) -> tuple[Floats, Floats]:
         """Project point i into camera i.
@@ -100,17 +87,13 @@ class Rig:
 @lru_cache(maxsize=256)
 def _stacked(cameras: tuple[Camera, ...]) -> Rig:
     """Cameras compare by identity: what is kept never stands for a camera that was changed."""
-    lenses = [camera.intrinsics for camera in cameras]
-    return Rig(
-        tuple(camera.name for camera in cameras),
+    lenses, unknown = [camera.intrinsics for camera in cameras], np.zeros((18, 18))
+    known = [unknown if c.covariance is None else c.covariance for c in cameras]
+    rows = RigRows(
         np.array([lens.row for lens in lenses]).reshape(-1, 16),
         np.array([lens.reach for lens in lenses], dtype=np.float64),
         np.array([c.world_from_camera.rotation for c in cameras]).reshape(-1, 3, 3),
         np.array([c.center for c in cameras]).reshape(-1, 3),
-        _covariances([c.covariance for c in cameras], 18),
+        np.array(known).reshape(-1, 18, 18),
     )
-
-
-def _covariances(known: Sequence[Floats | None], size: int) -> Floats:
-    unknown = np.zeros((size, size))
-    return np.array([unknown if c is None else c for c in known]).reshape(-1, size, size)
+    return Rig(tuple(camera.name for camera in cameras), rows)

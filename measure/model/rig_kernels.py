@@ -6,12 +6,15 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.model.camera import MIN_DEPTH_MM
 from measure.model.lens import by_lens, distort_point, distortion_slopes, ideal_point
 from measure.model.rig import RigRows
 
 
 @compiled
-def project_one(rig: RigRows, row: int, point: Floats, pixel: Floats, by_point: Floats) -> None:
+def project_one(
+    rig: RigRows, row: int, point: Floats, pixel: Floats, by_point: Floats
+) -> tuple[float, float]:
     """Project a world point into the camera of a row; NaN where it has no image.
 
     Args:
@@ -20,6 +23,9 @@ def project_one(rig: RigRows, row: int, point: Floats, pixel: Floats, by_point: 
         point: (3,) mm.
         pixel: (2,) filled.
         by_point: (2, 3) filled with the pixel's derivatives by the world point.
+
+    Returns:
+        The normalised image point, lens left out.
     """
     lens, reach, rotation = rig.lenses[row], rig.reach[row], rig.rotation[row]
     center = rig.centers[row]
@@ -28,10 +34,10 @@ def project_one(rig: RigRows, row: int, point: Floats, pixel: Floats, by_point: 
     py = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
     pz = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
     x, y = px / pz, py / pz
-    if not (pz > rig.min_depth and x * x + y * y < reach * reach):
+    if not (pz > MIN_DEPTH_MM and x * x + y * y < reach * reach):
         pixel[:] = np.nan
         by_point[:] = np.nan
-        return
+        return np.nan, np.nan
     u, v = distort_point(x, y, lens)
     pixel[0], pixel[1] = lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]
     a, b, c, d = distortion_slopes(x, y, lens)
@@ -41,14 +47,43 @@ def project_one(rig: RigRows, row: int, point: Floats, pixel: Floats, by_point: 
     for k in range(3):
         by_point[0, k] = ux * rotation[k, 0] + uy * rotation[k, 1] + uz * rotation[k, 2]
         by_point[1, k] = vx * rotation[k, 0] + vy * rotation[k, 1] + vz * rotation[k, 2]
+    return x, y
 
 
 @compiled
-def by_intrinsics(points: Floats, lens: Floats) -> Floats:
-    """Derivatives (n, 2, 12) of the pixels of camera-frame points (n, 3), see `by_lens`."""
-    out = np.zeros((len(points), 2, 12))
+def by_cameras(rig: RigRows, points: Floats) -> Floats:
+    """Derivatives of the pixel of point i in camera i, or in a single one, by that camera.
+
+    A camera's pose changes in its `perturb` chart: moving it by (dt, w) moves the point, as the
+    camera sees it, by -dt - w x (X - t).
+
+    Returns:
+        (n, 2, 18) by the pose and by the intrinsics, see `by_lens`.
+    """
+    out = np.zeros((len(points), 2, 18))
+    pixel, by_point = np.empty(2), np.empty((2, 3))
     for i in range(len(points)):
-        by_lens(points[i, 0] / points[i, 2], points[i, 1] / points[i, 2], lens, out[i])
+        row = i % len(rig.lenses)
+        x, y = project_one(rig, row, points[i], pixel, by_point)
+        away = points[i] - rig.centers[row]
+        for a in range(2):
+            for b in range(3):
+                c, d = (b + 1) % 3, (b + 2) % 3
+                out[i, a, b] = -by_point[a, b]
+                out[i, a, 3 + b] = by_point[a, c] * away[d] - by_point[a, d] * away[c]
+        by_lens(x, y, rig.lenses[row], out[i, :, 6:])
+    return out
+
+
+@compiled
+def camera_noise(rig: RigRows, points: Floats) -> Floats:
+    """What uncertain cameras add to the covariances (n, 2, 2) of the pixels of points (n, 3)."""
+    out = np.zeros((len(points), 2, 2))
+    if not np.any(rig.covariances):
+        return out
+    by_camera = by_cameras(rig, points)
+    for i in range(len(points)):
+        out[i] = by_camera[i] @ rig.covariances[i] @ by_camera[i].T
     return out
 
 
@@ -87,5 +122,4 @@ def rows_between(rig: RigRows, start: int, end: int) -> RigRows:
         rig.rotation[start:end],
         rig.centers[start:end],
         rig.covariances[start:end],
-        rig.min_depth,
     )

@@ -70,7 +70,7 @@ def test_a_fit_weighs_as_it_says():
     ]
     views = PointObservations.of(seen, cameras)
     fit = fit_point(views)
-    residuals, by_point, _ = views.residuals(fit.point)
+    residuals, by_point = views.residuals(fit.point)
     weight = np.linalg.inv(views.total_noise(fit.point))
     gradient = np.einsum("nia,nij,nj->a", by_point, weight, residuals)
     information = np.einsum("nia,nij,njb->ab", by_point, weight, by_point)

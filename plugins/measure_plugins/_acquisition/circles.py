@@ -139,10 +139,12 @@ def _finished(
 @compiled
 def distinct(circles: Floats) -> Floats:
     """Sort circles (k, 5); leave out repeats of better ones and those inside a complete one."""
-    order = np.argsort(-circles[:, 3] * np.sqrt(circles[:, 2] * circles[:, 4]), kind="mergesort")
+    left = circles[:, 3] * np.sqrt(circles[:, 2] * circles[:, 4])
     out = np.empty(circles.shape)
     count = 0
-    for i in order:
+    for _ in range(len(left)):
+        i = np.argmax(left)
+        left[i] = -np.inf
         x, y, r = circles[i, 0], circles[i, 1], circles[i, 2]
         new = True
         for k in range(count):
@@ -234,11 +236,8 @@ def refined(mask: Bytes, circle: Floats) -> tuple[float, float, float, float]:
     x, y, r, seen = circle[0], circle[1], circle[2], circle[3]
     normal, right = np.empty((3, 3)), np.empty(3)
     factor, step = np.empty((3, 3)), np.empty(3)
-    edges, radii, places = np.empty(ANGLES), np.empty(ANGLES), np.empty(ANGLES, np.int64)
-    going, here = np.empty(ANGLES, np.uint8), np.empty(ANGLES, np.uint8)
     for reach in _REACHES:
-        _find_edges(mask, x, y, r, reach, edges, radii, places, going, here)
-        hits = _equations(edges, reach, normal, right)
+        hits = _equations(_edges(mask, x, y, r, reach), reach, normal, right)
         if hits < _MIN_EDGES:
             break
         cholesky(normal, factor)
@@ -249,44 +248,29 @@ def refined(mask: Bytes, circle: Floats) -> tuple[float, float, float, float]:
 
 
 @compiled
-def _find_edges(
-    mask: Bytes,
-    x: float,
-    y: float,
-    r: float,
-    reach: float,
-    edges: Floats,
-    radii: Floats,
-    places: Ints,
-    going: Bytes,
-    here: Bytes,
-) -> None:
-    """Fill the radii at which the colour ends, less that of the circle; beyond `reach`: nowhere."""
-    radii[:] = r - reach
-    _read_ring(mask, x, y, radii, places, here)
-    for k in range(ANGLES):
-        going[k], edges[k] = here[k] == 1, 2 * reach
-    offset = -reach
+def _edges(mask: Bytes, x: float, y: float, r: float, reach: float) -> Floats:
+    """Radii (angles,) where the colour ends, less the circle's; beyond `reach`: nowhere."""
+    going = _ring(mask, x, y, np.full(ANGLES, r - reach)) == 1
+    edges, offset = np.full(ANGLES, 2 * reach), -reach
     while offset < reach:
         offset += 1.0
-        radii[:] = r + offset
-        _read_ring(mask, x, y, radii, places, here)
+        here = _ring(mask, x, y, np.full(ANGLES, r + offset))
         for k in range(ANGLES):
-            edges[k] = offset if (going[k] == 1) & (here[k] == 0) else edges[k]
+            edges[k] = offset if going[k] & (here[k] == 0) else edges[k]
             going[k] &= here[k] == 1
-    going[:] = 1
+    going[:] = True
     for _ in range(3):  # back by quarters of a pixel to the first one outside
-        for k in range(ANGLES):
-            radii[k] = r + (edges[k] - _QUARTER)
-        _read_ring(mask, x, y, radii, places, here)
+        here = _ring(mask, x, y, r + (edges - _QUARTER))
         for k in range(ANGLES):
             going[k] &= here[k] == 0
             edges[k] -= _QUARTER * going[k]
+    return edges
 
 
 @compiled
-def _read_ring(mask: Bytes, x: float, y: float, radii: Floats, places: Ints, here: Bytes) -> None:
-    """Fill `here` with the mask at radii (angles,) round x, y, and `places` with their indices."""
+def _ring(mask: Bytes, x: float, y: float, radii: Floats) -> Bytes:
+    """The mask at radii (angles,) round x, y."""
+    places, here = np.empty(ANGLES, np.int64), np.empty(ANGLES, np.uint8)
     flat, width = mask.reshape(-1), mask.shape[1]
     last_column, last_row = mask.shape[1] - 1.0, mask.shape[0] - 1.0
     for k in range(ANGLES):
@@ -295,6 +279,7 @@ def _read_ring(mask: Bytes, x: float, y: float, radii: Floats, places: Ints, her
         places[k] = np.int64(row) * width + np.int64(column)
     for k in range(ANGLES):
         here[k] = flat[np.uint64(places[k])]
+    return here
 
 
 @compiled

@@ -13,7 +13,7 @@ from measure.model.lens import by_lens, to_pixel
 from measure.model.rig import RigRows
 from measure_plugins._joint_fit.elimination import prior_view_shifts
 from measure_plugins._joint_fit.problem import PackedOutlines
-from measure_plugins._joint_fit.solve import OutlineFit, fit_outlines
+from measure_plugins._joint_fit.solve import OutlineFit, Start, fit_outlines
 
 _MIN_COMMON_SHIFT_PX = 0.06
 """Least standard deviation of a ball's shift by light that all cameras share, however well they
@@ -49,9 +49,7 @@ class JointFit(NamedTuple):
 @compiled
 def solve_outlines(
     outlines: PackedOutlines,
-    rotation: Floats,
-    translation: Floats,
-    prior_information: Floats,
+    start: Start,
     ball_of: Ints,
     balls: UncertainBalls,
     rig: RigRows,
@@ -64,18 +62,13 @@ def solve_outlines(
 
     Args:
         outlines: k ball-views in c views.
-        rotation: (3, 3) of the world_from_body to start from.
-        translation: (3,) of the same.
-        prior_information: (6, 6) see `fit_outlines`.
         ball_of: (k,) index of the ball.
         balls: the body's b balls.
         rig: the c cameras.
         view_noise: (c, 2, 2) covariances of the views' shifts by their calibration, px^2.
         widening: factor of the covariance, for effects whose variance is itself estimated.
     """
-    fit = fit_outlines(
-        outlines, rotation, translation, prior_information, prior_view_shifts(view_noise)
-    )
+    fit = fit_outlines(outlines, start, prior_view_shifts(view_noise))
     known, levers = fit.covariance * widening, np.zeros((len(rig.lenses), 6, 18))
     if fit.solved:
         count = len(balls.radius_covariance)

@@ -53,6 +53,14 @@ _OFFSET_SD_PX = 3.0
 """Prior of a view's edge offset: wide, and there so that a single short arc can be solved."""
 
 
+class Start(NamedTuple):
+    """The world_from_body that a fit starts from, right to a few mm and degrees."""
+
+    rotation: Floats  # (3, 3)
+    translation: Floats  # (3,) mm
+    information: Floats  # (6, 6) for what the outlines leave open; zero for none
+
+
 class OutlineFit(NamedTuple):
     """The result of the joint fit, before what all outlines have in common is added."""
 
@@ -85,13 +93,7 @@ class _FitState(NamedTuple):
 
 
 @folded
-def fit_outlines(
-    outlines: PackedOutlines,
-    rotation: Floats,
-    translation: Floats,
-    prior_information: Floats,
-    view_shifts: ViewShifts,
-) -> OutlineFit:
+def fit_outlines(outlines: PackedOutlines, start: Start, view_shifts: ViewShifts) -> OutlineFit:
     """Fit the pose: Gauss-Newton with Tukey weights on points and random effects of ball-views.
 
     Every iteration forms the moments of the points about the pose, and then alternates, at fixed
@@ -100,21 +102,18 @@ def fit_outlines(
 
     Args:
         outlines: k ball-views in c views.
-        rotation: (3, 3) of the world_from_body to start from, right to a few mm and degrees.
-        translation: (3,) of the same.
-        prior_information: (6, 6) of the start, for what the outlines leave open; zero for none.
         view_shifts: of the views, with their variances; the estimates are filled.
     """
-    start_rotation, start_translation, gone = rotation, translation, np.zeros(6)
+    rotation, translation, gone = start.rotation, start.translation, np.zeros(6)
     offsets = np.zeros(len(outlines.rotations))
-    state, solved = _initial_state(len(outlines.view_of), prior_information, view_shifts), False
+    state, solved = _initial_state(len(outlines.view_of), start.information, view_shifts), False
     before, exact = 0.0, not np.any(view_shifts.variance)
     for iteration in range(_MAX_ITERATIONS):
         accumulate_moments(outlines, rotation, translation, offsets, state.effects, state.moments)
         if iteration > 0:
-            gone[:3] = translation - start_translation
-            gone[3:] = rotvec_of(rotation @ start_rotation.T)
-        _fill_prior_right(prior_information, gone, offsets, state.prior_right)
+            gone[:3] = translation - start.translation
+            gone[3:] = rotvec_of(rotation @ start.rotation.T)
+        _fill_prior_right(start.information, gone, offsets, state.prior_right)
         solved, step_sd = _solve_inner(outlines, state)
         if not solved:
             break
@@ -128,10 +127,23 @@ def fit_outlines(
         offsets = offsets + state.step[6:]
         if step_sd < _CONVERGED_SD:
             break
+    return _fitted(outlines, state, rotation, translation, offsets, solved)
+
+
+@folded
+def _fitted(
+    outlines: PackedOutlines,
+    state: _FitState,
+    rotation: Floats,
+    translation: Floats,
+    offsets: Floats,
+    solved: bool,
+) -> OutlineFit:
+    """The result, from the last state."""
     steps = by_ball(outlines, state.equations, state.covariance)
     reactions = by_effect(outlines, state.equations, state.variances, state.covariance)
     covariance = state.covariance[:6, :6].copy()
-    subtract_view_shifts(outlines.view_of, view_shifts, reactions, covariance)
+    subtract_view_shifts(outlines.view_of, state.view_shifts, reactions, covariance)
     return OutlineFit(
         rotation,
         translation,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from measure.arrays import Bools, Bytes, Floats, Ints, stacked
+from measure.arrays import Bytes, Floats, Ints, stacked
 from measure.host import Settings, setting
 from measure.model import Body, Camera, Detection, Expectation, Image
 from measure.model.lens import bearing
@@ -75,7 +75,6 @@ class _Constants(NamedTuple):
     """Constants of k balls: radii (k,) in mm, the others as in `Expected`."""
 
     radii: Floats
-    sized: Bools
     bits: Ints
     step_gains: Floats
 
@@ -133,7 +132,7 @@ class KnownBalls:
             cones: (k, 6) as from `cones`.
         """
         c, balls = self._config, self._packed(expected, cones, appearance)
-        rays = c.rays if balls.tables.size else max(c.rays // FEWER_RAYS, MIN_RAYS)
+        rays = c.rays if balls.sized.any() else max(c.rays // FEWER_RAYS, MIN_RAYS)
         give_up_share = GIVE_UP_SHARE * c.min_agreement
         return measure_balls(
             view, balls, rays, c.min_contrast, c.margin_px, give_up_share, self._colors
@@ -172,14 +171,16 @@ class KnownBalls:
     def _packed(
         self, expected: Sequence[Expectation], cones: Floats, appearance: Appearance
     ) -> Expected:
-        known, reach_px = self._of(expected), np.array([e.reach_px for e in expected])
-        unsized = [e.center_camera is None for e in expected]
-        if all(unsized):
-            no_tables = np.empty((len(cones), 0))
-            return Expected(cones, reach_px, no_tables, ~known.sized, known.bits, known.step_gains)
-        tables = appearance.packed_tables([(size, angle) for *_, angle, _, size in cones.tolist()])
-        sized = ~np.array(unsized) if any(unsized) else known.sized
-        return Expected(cones, reach_px, tables, sized, known.bits, known.step_gains)
+        known = self._of(expected)
+        tables = appearance.stacked_tables([(px, angle) for *_, angle, _, px in cones.tolist()])
+        return Expected(
+            cones,
+            np.array([e.reach_px for e in expected]),
+            tables,
+            np.array([e.center_camera is not None for e in expected]),
+            known.bits,
+            known.step_gains,
+        )
 
     def _of(self, expected: Sequence[Expectation]) -> _Constants:
         """The constants of balls, cached: nearly always of the same ones."""
@@ -188,7 +189,6 @@ class KnownBalls:
         if known is None:
             known = self._known[balls] = _Constants(
                 np.array([self._radii[ball] for ball in balls]),
-                np.ones(len(balls), np.bool_),
                 np.array([self._bits[ball] for ball in balls]),
                 np.array([self._step_gains.get(ball, _UNIT_GAIN) for ball in balls]),
             )

@@ -112,7 +112,7 @@ def _named(balls: tuple[str, ...], body: Body, cameras: tuple[Camera, ...]) -> B
         view_of,
         body.centers[ball_of],
         body.radii[ball_of],
-        rig.lenses,
+        rig.rows.lenses,
         np.array([into.rotation for into in inward], order="C"),
         np.stack([into.translation for into in inward]),
     )
@@ -213,11 +213,8 @@ class ContoursSolver(PoseSolver):
         fit = self._fit(outlines, start, information, prior, time_s, view_noise)
         if not fit.solved:
             return None
-        residual_mm = rms_distance(
-            fit,
-            self.body.centers_of([position.ball for position in positions]),
-            stacked_positions(tuple(positions))[0],
-        )
+        placed = self.body.centers_of([position.ball for position in positions])
+        residual_mm = rms_distance(fit, placed, stacked_positions(tuple(positions))[0])
         return Pose(
             time_s=time_s,
             world_from_body=RigidTransform(fit.rotation, fit.translation),
@@ -241,6 +238,7 @@ class ContoursSolver(PoseSolver):
     ) -> JointFit:
         """The joint fit at `time_s`, each image at its own time where the motion is known."""
         from measure_plugins._joint_fit.covariance import UncertainBalls, solve_outlines
+        from measure_plugins._joint_fit.solve import Start
 
         named, packed = outlines.named, outlines.packed
         if prior is not None and outlines.instants != {time_s}:
@@ -248,9 +246,7 @@ class ContoursSolver(PoseSolver):
         return solve_outlines(
             packed,
             # Arrays laid out otherwise would be compiled for once more.
-            np.ascontiguousarray(start.rotation),
-            np.ascontiguousarray(start.translation),
-            information,
+            Start(*map(np.ascontiguousarray, (start.rotation, start.translation, information))),
             named.ball_of,
             UncertainBalls(
                 self.body.radius_covariance, self.body.radius_tolerance_mm**2 * _OUTLINE_SHARES

@@ -21,7 +21,13 @@ from measure.estimation import (
     layout_flags,
     point_sensitivity,
 )
-from measure.geometry import RigidTransform, align_points, chi_square_quantile, propagate, skew
+from measure.geometry import (
+    RigidTransform,
+    align_points,
+    chart_jacobian,
+    chi_square_quantile,
+    propagate,
+)
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Motion, Pose
 
@@ -130,12 +136,6 @@ class KabschSolver(PoseSolver):
         return _PlacedBall(fit.point, fit.covariance * wider, views)
 
 
-def _jacobians(world_from_body: RigidTransform, points_body: Floats) -> Floats:
-    """How the balls (n, 3) move with the pose's `perturb` chart (n, 3, 6)."""
-    arms = world_from_body.rotate(points_body)
-    return np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), -skew(arms)], axis=2)
-
-
 def _robust_fit(
     start: RigidTransform, centers: Floats, covariances: Floats, points_body: Floats, huber: float
 ) -> tuple[RigidTransform, Floats, float]:
@@ -147,7 +147,7 @@ def _robust_fit(
         distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, inverse, residuals))
         factor = np.minimum(1.0, huber / np.maximum(distance, 1e-12))
         weight = inverse * factor[:, None, None]
-        jacobians = _jacobians(pose, points_body)
+        jacobians = chart_jacobian(pose.rotate(points_body))
         weighted = np.swapaxes(jacobians, 1, 2) @ weight
         step = np.linalg.solve(
             (weighted @ jacobians).sum(axis=0), np.einsum("nij,nj->i", weighted, residuals)
@@ -167,7 +167,7 @@ def _covariance(
     chi_square: float,
 ) -> Floats:
     """(6, 6): pixel noise ball by ball, and each camera's own error over all balls at once."""
-    jacobians = _jacobians(pose, points_body)
+    jacobians = chart_jacobian(pose.rotate(points_body))
     weighted = np.swapaxes(jacobians, 1, 2) @ weight
     by_position = np.linalg.inv((weighted @ jacobians).sum(axis=0)) @ weighted
     out = np.zeros((6, 6))
@@ -201,7 +201,7 @@ def _parts(placed: _PlacedBall) -> tuple[Floats, list[tuple[str, Floats, Floats]
     own = propagate(by_pixel, o.noise).sum(axis=0)
     shared = propagate(by_pixel, calibration_noise(o.rig, placed.point + o.shifts)).sum(axis=0)
     ratio = max(1.0, float(np.trace(placed.covariance) / np.trace(own + shared)))
-    cameras = zip(o.rig.names, o.rig.covariances, by_camera, strict=True)
+    cameras = zip(o.rig.names, o.rig.rows.covariances, by_camera, strict=True)
     return own * ratio, [camera for camera in cameras if np.any(camera[1])]
 
 

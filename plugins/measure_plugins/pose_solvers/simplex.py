@@ -13,7 +13,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.geometry import RigidTransform, skew
+from measure.geometry import RigidTransform, chart_jacobian
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Motion, Pose
 
@@ -115,12 +115,10 @@ def _covariance(
 ) -> Floats:
     """(6, 6) in the pose's `perturb` chart, to first order, of the unweighted least squares.
 
-    A ball moves by dt + w x (R p), so its Jacobian is [I, -skew(R p)]; the minimum answers to an
-    error of the positions by the pseudo-inverse of the stacked Jacobians. Positions count as
-    independent.
+    The minimum answers to an error of the positions by the pseudo-inverse of the stacked Jacobians.
+    Positions count as independent.
     """
-    turned = pose.rotate(points_body)
-    jacobian = np.concatenate([np.tile(np.eye(3), (len(turned), 1, 1)), -skew(turned)], axis=2)
+    jacobian = chart_jacobian(pose.rotate(points_body))
     inverse = np.linalg.pinv(jacobian.reshape(-1, 6)).reshape(6, -1, 3)
     noise = np.stack([position.covariance for position in positions])
     return np.asarray(np.einsum("inj,njk,mnk->im", inverse, noise, inverse))

@@ -36,7 +36,7 @@ class DltTriangulator(Triangulator):
         point = _linear_point(observations)
         if point is None:
             return None
-        residuals, by_point, _ = observations.residuals(point)
+        residuals, by_point = observations.residuals(point)
         if not np.all(np.isfinite(residuals)):
             return None
         noise = observations.total_noise(point)
@@ -60,9 +60,9 @@ def _linear_point(observations: PointObservations) -> Floats | None:
     # Everything in units of the distance to the cameras' centroid: an even spread of magnitudes.
     origin = rig.centers.mean(axis=0)
     scale = float(np.max(np.linalg.norm(rig.centers - origin, axis=1))) or 1.0
-    local = np.einsum("nji,nj->ni", rig.rotation, rays.directions)
+    local = np.einsum("nji,nj->ni", rig.rows.rotation, rays.directions)
     bearings = local[:, :2] / local[:, 2:]
-    axes = np.swapaxes(rig.rotation, 1, 2)
+    axes = np.swapaxes(rig.rows.rotation, 1, 2)
     moved = -np.einsum("nij,nj->ni", axes, (rig.centers - origin) / scale)
     rows = np.concatenate([axes, moved[:, :, None]], axis=2)
     design = bearings[:, :, None] * rows[:, 2:, :] - rows[:, :2, :]

@@ -203,11 +203,12 @@ def test_warm_up_compiles_every_hot_loop(camera):
     """For the very types that measuring uses: else the first picture would compile them again."""
     from measure_plugins._acquisition import candidates, circles
     from measure_plugins._outline.fitting import batch as balls
+    from measure_plugins._outline.fitting import scan
 
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
     loops = (
         balls.measure_balls,
-        balls.measure_step_gains,
+        scan.scan_with_model,
         balls.cones_of,
         balls.measure_circles,
         candidates._bits_of,

@@ -9,9 +9,9 @@ from measure_plugins._outline.appearance.radial_basis import (
     DEFLECTIONS,
     _hats,
     fresnel,
-    packed_radials,
+    one_of,
     radial_tables,
-    unpacked,
+    stacked_tables,
 )
 
 SIZES = [(35.0, 0.05), (12.25, 0.02)]
@@ -43,8 +43,8 @@ def test_inside_and_outside_share_a_ray_and_the_ball_is_none_of_what_is_outside(
     assert np.allclose(matt.diffuse[:, 0], 1 - matt.outside)
 
 
-def test_packed_tables_are_those_of_each_ball():
-    rows = packed_radials(SIZES, 0.9, 1.5)
-    for row, size in zip(rows, SIZES, strict=True):
-        for packed, table in zip(unpacked(row), radial_tables(*size, 0.9, 1.5), strict=True):
-            assert np.array_equal(packed, table)
+def test_stacked_tables_are_those_of_each_ball():
+    tables = stacked_tables(SIZES, 0.9, 1.5)
+    for i, size in enumerate(SIZES):
+        for own, table in zip(one_of(tables, i), radial_tables(*size, 0.9, 1.5), strict=True):
+            assert np.array_equal(own, table)

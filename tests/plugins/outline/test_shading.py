@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure_plugins._outline.appearance.dichromatic import reflected_light
-from measure_plugins._outline.appearance.radial_basis import packed_radials, radial_tables, unpacked
+from measure_plugins._outline.appearance.radial_basis import radial_tables
 from measure_plugins._outline.appearance.shading import fit_shading, shaded, shading_functions
 from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED, STEPS
 
@@ -67,18 +67,6 @@ def test_hidden_rays_tell_nothing() -> None:
     assert _misfit(seen, status) > 0.03
     status[20:44] = OCCLUDED
     assert _misfit(seen, status) < 0.02
-
-
-def test_packed_tables_are_the_same_tables():
-    outlines = [(60.0, 0.045), (45.0, 0.06)]
-    packed = packed_radials(outlines, 1.0, 1.5)
-    assert len(packed) == 2
-    for row, (radius_px, half_angle) in zip(packed, outlines, strict=True):
-        tables = radial_tables(radius_px, half_angle, 1.0, 1.5)
-        for name, one, other in zip(tables._fields, tables, unpacked(row), strict=True):
-            assert one.shape == other.shape, name
-            assert np.array_equal(one, other), name
-        assert len(row) == sum(table.size for table in tables)
 
 
 def test_reflected_light_is_found_behind_rays_that_are_not_clear():

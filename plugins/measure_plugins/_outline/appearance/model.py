@@ -18,8 +18,8 @@ from measure_plugins._outline.appearance.radial_basis import (
     BLUR_PX,
     REFRACTIVE_INDEX,
     RadialTables,
-    packed_radials,
     radial_tables,
+    stacked_tables,
 )
 from measure_plugins._outline.appearance.sensor import encoding
 
@@ -61,9 +61,9 @@ class Appearance:
         """Profiles of a ball of this size along a ray across its outline."""
         return radial_tables(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
 
-    def packed_tables(self, outlines: Sequence[tuple[float, float]]) -> Floats:
-        """The same of k outlines (radius in px, half angle in rad), a row each."""
-        return packed_radials(outlines, self.blur_px, self.index, self.mirrors)
+    def stacked_tables(self, outlines: Sequence[tuple[float, float]]) -> RadialTables:
+        """The same of k outlines (radius in px, half angle in rad), stacked."""
+        return stacked_tables(outlines, self.blur_px, self.index, self.mirrors)
 
 
 def first_appearance(tone: str) -> Appearance:

@@ -67,11 +67,11 @@ def radial_tables(
     return _radial(*_sizes(radius_px, half_angle, blur_px), index, mirrors)
 
 
-def packed_radials(
+def stacked_tables(
     outlines: Sequence[tuple[float, float]], blur_px: float, index: float, mirrors: bool = True
-) -> Floats:
-    """The same tables of k outlines (radius in px, half angle in rad), a row each: (k, r)."""
-    return _packed(tuple([_sizes(*one, blur_px) for one in outlines]), index, mirrors)
+) -> RadialTables:
+    """The same tables of k >= 1 outlines (radius in px, half angle in rad), stacked: (k, ...)."""
+    return _stacked(tuple([_sizes(*one, blur_px) for one in outlines]), index, mirrors)
 
 
 def _sizes(radius_px: float, half_angle: float, blur_px: float) -> tuple[int, int, int]:
@@ -79,29 +79,23 @@ def _sizes(radius_px: float, half_angle: float, blur_px: float) -> tuple[int, in
 
 
 @lru_cache(maxsize=256)
-def _packed(sizes: tuple[tuple[int, int, int], ...], index: float, mirrors: bool) -> Floats:
+def _stacked(sizes: tuple[tuple[int, int, int], ...], index: float, mirrors: bool) -> RadialTables:
     """Cached: balls keep their sizes from picture to picture."""
-    return stacked([_row(*one, index, mirrors) for one in sizes])
-
-
-@lru_cache(maxsize=1024)
-def _row(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> Floats:
-    return np.concatenate([t.ravel() for t in _radial(radius4, angle200, blur20, index, mirrors)])
+    of_each = [_radial(*one, index, mirrors) for one in sizes]
+    return RadialTables._make(stacked(some) for some in zip(*of_each, strict=True))
 
 
 @compiled
-def unpacked(row: Floats) -> RadialTables:
-    """The tables of a row of `packed_radials`."""
-    m, k, lobes = len(STEPS), len(DEFLECTIONS), _LOBES
-    ends = np.cumsum(np.array([m * lobes, m * k, m, m, 1, k * m, k]))
+def one_of(tables: RadialTables, i: int) -> RadialTables:
+    """Those of outline i."""
     return RadialTables(
-        row[: ends[0]].reshape(m, lobes),
-        row[ends[0] : ends[1]].reshape(m, k),
-        row[ends[1] : ends[2]],
-        row[ends[2] : ends[3]],
-        row[ends[3] : ends[4]],
-        row[ends[4] : ends[5]].reshape(k, m),
-        row[ends[5] :],
+        tables.diffuse[i],
+        tables.grey[i],
+        tables.grazing_reflection[i],
+        tables.outside[i],
+        tables.fresnel_loss[i],
+        tables.reflection_solver[i],
+        tables.reflection_prior[i],
     )
 
 

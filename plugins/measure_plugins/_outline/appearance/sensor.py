@@ -23,11 +23,13 @@ _INTERPOLATED = 1 / 6
 """Variance in px^2 of the blur by bilinear interpolation: t (1 - t), averaged over all places t
 between two pixels."""
 _SIDE_WEIGHT = _INTERPOLATED / (2 * _STEP**2)
-"""Weight of either neighbouring step in a blur of that variance."""
-_OFFSETS_PX = np.arange(-CHROMA_REACH, CHROMA_REACH + 1) * _STEP
-_WEIGHTS = np.exp(-0.5 * _OFFSETS_PX**2 / (CHROMA_PX**2 + _INTERPOLATED))
-_TAPS = (_WEIGHTS / _WEIGHTS.sum())[CHROMA_REACH:].copy()
-"""Weights of a step and its neighbours in the blur of colour."""
+_INTERPOLATING = np.array([0.5 - _SIDE_WEIGHT, _SIDE_WEIGHT])
+"""Half the weight of a step in a blur of that variance, and the weight of its neighbours."""
+_OFFSETS_PX = np.arange(CHROMA_REACH + 1) * _STEP
+_BLURRING = np.exp(-0.5 * _OFFSETS_PX**2 / (CHROMA_PX**2 + _INTERPOLATED))
+_BLURRING[0] /= 2
+_BLURRING /= 2 * _BLURRING.sum()
+"""The same in the blur of colour."""
 _TABLE_STEPS = 2048
 _NO_LIGHT, _FULL_LIGHT = np.float32(0), np.float32(1)
 
@@ -77,64 +79,32 @@ def read_off(values: Reals) -> Reals:
         taken to go on as they are there.
     """
     m, n = values.shape[1:]
-    beyond = m + CHROMA_REACH
-    grey, out = np.empty(m * n, values.dtype), np.empty((3, m - CHROMA_REACH, n), values.dtype)
-    bluer, redder = np.empty(beyond * n, values.dtype), np.empty(beyond * n, values.dtype)
-    blue, green, red = (values[0].reshape(-1), values[1].reshape(-1), values[2].reshape(-1))
-    _to_chroma(blue, green, red, grey, bluer, redder)
-    for j in range(m, beyond):
-        for i in range(n):
-            bluer[j * n + i], redder[j * n + i] = bluer[(m - 1) * n + i], redder[(m - 1) * n + i]
-    blue, green, red = out[0].reshape(-1), out[1].reshape(-1), out[2].reshape(-1)
-    _blur(bluer, n, blue)
-    _blur(redder, n, red)
-    _from_chroma(_interpolated(grey[(CHROMA_REACH - 1) * n :], n), blue, green, red)
-    return out
-
-
-@compiled
-def _to_chroma(
-    blue: Reals, green: Reals, red: Reals, grey: Reals, bluer: Reals, redder: Reals
-) -> None:
-    """Fill luma, and blue and red minus luma, of colours (k,), into the last three."""
-    number = grey.dtype.type  # of the values' precision: loops stay in single precision
+    number = values.dtype.type  # of the values' precision: loops stay in single precision
     of_blue, of_green, of_red = number(_BLUE), number(_GREEN), number(_RED)
-    for i in range(len(grey)):
-        brightness = of_blue * blue[i] + of_green * green[i] + of_red * red[i]
-        grey[i], bluer[i], redder[i] = brightness, blue[i] - brightness, red[i] - brightness
-
-
-@compiled
-def _from_chroma(grey: Reals, blue: Reals, green: Reals, red: Reals) -> None:
-    """Replace blue and red minus luma (k,) by colours, and fill green."""
-    number = grey.dtype.type
-    blue_share, red_share = number(_BLUE / _GREEN), number(_RED / _GREEN)
-    for i in range(len(grey)):
-        bluer, redder = blue[i], red[i]
-        blue[i], red[i] = grey[i] + bluer, grey[i] + redder
-        green[i] = grey[i] - (blue_share * bluer + red_share * redder)
-
-
-@compiled
-def _interpolated(grey: Reals, n: int) -> Reals:
-    """Rows of n from the second on, blurred across as interpolation does; the last is repeated."""
-    number, out = grey.dtype.type, np.empty(len(grey) - n, grey.dtype)
-    side, inner, end = number(_SIDE_WEIGHT), number(1 - 2 * _SIDE_WEIGHT), number(1 - _SIDE_WEIGHT)
-    last = len(out) - n
-    for i in range(last):
-        out[i] = inner * grey[n + i] + side * (grey[i] + grey[2 * n + i])
-    for i in range(last, len(out)):
-        out[i] = end * grey[n + i] + side * grey[i]
+    luma, bluer, redder = np.empty_like(values)
+    for j in range(m):
+        for i in range(n):
+            blue, red = values[0, j, i], values[2, j, i]
+            grey = of_blue * blue + of_green * values[1, j, i] + of_red * red
+            luma[j, i], bluer[j, i], redder[j, i] = grey, blue - grey, red - grey
+    out = np.zeros((3, m - CHROMA_REACH, n), values.dtype)
+    _blur(bluer, _BLURRING, out[0])
+    _blur(luma, _INTERPOLATING, out[1])
+    _blur(redder, _BLURRING, out[2])
+    for j in range(m - CHROMA_REACH):
+        for i in range(n):
+            blue, grey, red = out[0, j, i], out[1, j, i], out[2, j, i]
+            out[0, j, i], out[2, j, i] = grey + blue, grey + red
+            out[1, j, i] = grey - (of_blue * blue + of_red * red) / of_green
     return out
 
 
 @compiled
-def _blur(values: Reals, n: int, out: Reals) -> None:
-    """Blur rows of n across, into the rows from CHROMA_REACH on; all taps in one pass."""
-    number = out.dtype.type
-    a, b, c, d = number(_TAPS[0]), number(_TAPS[1]), number(_TAPS[2]), number(_TAPS[3])
-    v1, v2, v3 = values[n:], values[2 * n :], values[3 * n :]
-    v4, v5, v6 = values[4 * n :], values[5 * n :], values[6 * n :]
-    for i in range(len(out)):
-        inner = a * v3[i] + b * (v2[i] + v4[i])
-        out[i] = inner + c * (v1[i] + v5[i]) + d * (values[i] + v6[i])
+def _blur(values: Reals, weights: Floats, out: Reals) -> None:
+    """Add rows (m, n), blurred across, to those of `out`, the first of which is CHROMA_REACH."""
+    m, n = values.shape
+    for j in range(CHROMA_REACH, m):
+        for k in range(len(weights)):
+            weight, after = out.dtype.type(weights[k]), min(j + k, m - 1)
+            for i in range(n):
+                out[j - CHROMA_REACH, i] += weight * (values[j - k, i] + values[after, i])

@@ -9,7 +9,7 @@ import numpy as np
 from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.compiling import compiled
 from measure_plugins._outline.appearance.interreflection import balls_behind, balls_nearer
-from measure_plugins._outline.appearance.radial_basis import unpacked
+from measure_plugins._outline.appearance.radial_basis import RadialTables, one_of
 from measure_plugins._outline.fitting.color import color_share
 from measure_plugins._outline.fitting.measurement import (
     FROM_INSIDE,
@@ -36,9 +36,7 @@ class Expected(NamedTuple):
     # distance in mm; columns beyond those are ignored.
     cones: Floats
     reach_px: Floats  # (k,) how far the outline may be from there
-    # (k, r) what its size makes a ball show, see `tables.packed_radials`; unused where that is not
-    # known.
-    tables: Floats
+    tables: RadialTables  # (k, ...) what its size makes a ball show, if that is known
     sized: Bools  # (k,) whether the size is known: if not, edges are not corrected
     bits: Ints  # (k,) of the balls' colours in the table of colours
     # (k, 2, 2) see `step_gain.measure_step_gain`; the unit matrix where not known.
@@ -92,7 +90,7 @@ def measure_balls(
     for i in range(len(expected.cones)):
         search = _search(expected, i, rays, min_contrast, margin_px)
         if expected.sized[i]:
-            outline = measure_known_size(view, search, unpacked(expected.tables[i]))
+            outline = measure_known_size(view, search, one_of(expected.tables, i))
         else:
             outline = measure_unknown_size(view, search, give_up_share, colors, 0)
         _store(view, outline, colors, expected.bits[i], i, found)
@@ -149,16 +147,17 @@ def _none_found(k: int, rays: int) -> Measured:
     return Measured(np.empty((k, 2)), np.empty((k, 2, 2)), points, np.empty((k, rays)), numbers)
 
 
-@compiled
 def measure_step_gains(
     view: CameraImage, converged: Expected, rays: int, min_contrast: float, margin_px: float
 ) -> Floats:
     """Step gains (k, 2, 2) of balls of known size, see `measure_step_gain`."""
-    step_gains = np.empty((len(converged.cones), 2, 2))
-    for i in range(len(step_gains)):
-        search = _search(converged, i, rays, min_contrast, margin_px)
-        step_gains[i] = measure_step_gain(view, search, unpacked(converged.tables[i]))
-    return step_gains
+    found = [
+        measure_step_gain(
+            view, _search(converged, i, rays, min_contrast, margin_px), one_of(converged.tables, i)
+        )
+        for i in range(len(converged.cones))
+    ]
+    return np.stack(found)
 
 
 @compiled

@@ -57,7 +57,8 @@ LATER_STEPS = STEPS[_FIRST:]
 _LIGHT_STEPS = (STEPS <= FIT_LAST_PX) | (
     (_BACKGROUND_PX[0] <= STEPS) & (_BACKGROUND_PX[1] >= STEPS)
 )
-"""The steps at which light is sampled besides picture values."""
+"""The steps at which light is sampled besides picture values. Kernels take copies of these: a
+constant array is of another type than a variable one, and all would be compiled twice."""
 
 
 class Edges(NamedTuple):
@@ -125,28 +126,27 @@ def find_edge_pairs(inputs: PredictionInputs) -> EdgePairs:
     Without grey, colourless reflections do not count; with it, brightness does, which the camera
     blurs less. The ambient light of `inputs` is that along the n / 2 groups of its rays.
     """
-    rays = inputs.rays
-    light, values = sample(inputs.pixels, inputs.table, rays, STEPS, _LIGHT_STEPS, _FIRST)
+    rays, steps, later, wanted = inputs.rays, STEPS.copy(), LATER_STEPS.copy(), _LIGHT_STEPS.copy()
+    light, values = sample(inputs.pixels, inputs.table, rays, steps, wanted, _FIRST)
     window = inside_window(rays.points)
-    within, background = levels(light, STEPS, window), levels(light, STEPS, _BACKGROUND_PX)
+    within, background = levels(light, steps, window), levels(light, steps, _BACKGROUND_PX)
     grouped, status = together(light, rays.status)
     predicted = _predicted_values(inputs, grouped, status, middle_angles(rays.around))
-    inside = levels(values, LATER_STEPS, window)
-    outside = levels(values, LATER_STEPS, OUTSIDE_PX)
-    model_inside = levels(predicted, LATER_STEPS, window)
-    model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
+    inside, outside = levels(values, later, window), levels(values, later, OUTSIDE_PX)
+    model_inside = levels(predicted, later, window)
+    model_outside = levels(predicted, later, OUTSIDE_PX)
     n, highlights = len(rays.points), in_highlights(inside, rays.status)
     at, sd, contrasts = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
     biases = np.empty((2, n // TOGETHER))
     for k in range(2):
         without_grey = k == 0 and _is_colorful(within, background, rays.status)
         x, contrasts[k] = project(values, inside, outside, without_grey)
-        seen, slope = crossings(x, LATER_STEPS, SEARCH_PX)
-        at[k], sd[k] = seen, uncertainty(x, LATER_STEPS, seen, slope, window)
+        seen, slope = crossings(x, later, SEARCH_PX)
+        at[k], sd[k] = seen, uncertainty(x, later, seen, slope, window)
         for i in range(n):
             sd[k, i] += HIGHLIGHT_PX * highlights[i]
         y, _ = project(predicted, model_inside, model_outside, without_grey)
-        biases[k], _ = crossings(y, LATER_STEPS, SEARCH_PX)
+        biases[k], _ = crossings(y, later, SEARCH_PX)
     return EdgePairs(at, sd, contrasts, biases, within, background)
 
 
@@ -180,7 +180,8 @@ def inside_window(points: Floats) -> tuple[float, float]:
 def compare(inputs: PredictionInputs) -> tuple[Floats, Floats]:
     """Picture values (3, m, n) along all rays at `LATER_STEPS`: seen, and predicted."""
     rays = inputs.rays
-    seen, values = sample(inputs.pixels, inputs.table, rays, STEPS, _LIGHT_STEPS, _FIRST)
+    steps, wanted = STEPS.copy(), _LIGHT_STEPS.copy()
+    seen, values = sample(inputs.pixels, inputs.table, rays, steps, wanted, _FIRST)
     predicted = _predicted_values(inputs, seen.astype(np.float64), rays.status, rays.around)
     return values.astype(np.float64), predicted.astype(np.float64)
 
@@ -188,10 +189,10 @@ def compare(inputs: PredictionInputs) -> tuple[Floats, Floats]:
 @compiled
 def sampled_light(pixels: Bytes, table: Floats, rays: RaySet) -> tuple[Floats, Floats]:
     """Light (3, m, n) along rays at `STEPS`, and of the surroundings (3, n); see `sample`."""
-    everywhere = np.ones(len(STEPS), np.bool_)
-    seen, _ = sample(pixels, table, rays, STEPS, everywhere, len(STEPS))
+    steps, everywhere = STEPS.copy(), np.ones(len(STEPS), np.bool_)
+    seen, _ = sample(pixels, table, rays, steps, everywhere, len(steps))
     light = seen.astype(np.float64)
-    return light, levels(light, STEPS, _BACKGROUND_PX).astype(np.float64)
+    return light, levels(light, steps, _BACKGROUND_PX)
 
 
 @folded
@@ -199,13 +200,13 @@ def _predicted_values(
     inputs: PredictionInputs, light: Floats, status: Statuses, around: Floats
 ) -> Reals:
     """Predicted picture values (3, m, n) at `LATER_STEPS` along rays of `light` (formula 9)."""
-    background = levels(light, STEPS, _BACKGROUND_PX).astype(np.float64)
+    steps = STEPS.copy()
     predicted = predict_light(
         light,
         status,
         around,
-        background,
-        STEPS,
+        levels(light, steps, _BACKGROUND_PX),
+        steps,
         inputs.tables,
         inputs.ambient,
         _FIRST - CHROMA_REACH,

@@ -12,6 +12,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled, folded
+from measure.geometry.linear_kernels import inverse
 from measure.model.lens import bearing
 from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.fitting.color import scan_color
@@ -187,7 +188,7 @@ def _chance_corrected(scan: EdgeScan, fit: Fit, share: float) -> tuple[Floats, f
     informative = max((share - _CHANCE_SHARE) / (1 - _CHANCE_SHARE), _MIN_INFORMATIVE)
     weights, off = residuals(scan, fit, 0.0)
     spread = piecewise_covariance(scan.rays.around, weights, off, fit.normal)
-    wider = np.sqrt(np.trace(spread) / np.trace(np.linalg.inv(fit.normal)[:2, :2])) / informative
+    wider = np.sqrt(np.trace(spread) / np.trace(inverse(fit.normal)[:2, :2])) / informative
     return spread / informative**2, wider
 
 
@@ -211,7 +212,6 @@ def apply_step_gain(scan: EdgeScan, fit: Fit, step_gain: Floats) -> None:
         scan.edges.shifts[i] += around[i, 0] * more[0] + around[i, 1] * more[1]
 
 
-@folded
 def measure_step_gain(view: CameraImage, search: OutlineSearch, tables: RadialTables) -> Floats:
     """Displacement (2, 2) of the axis along e1 and e2, px per px that a scan shows.
 
@@ -231,9 +231,7 @@ def measure_step_gain(view: CameraImage, search: OutlineSearch, tables: RadialTa
                 return np.eye(2)
             for a in range(2):
                 response[a, k] -= side * fit.solution[a] / (2 * _OFFSET_PX)
-    det = response[0, 0] * response[1, 1] - response[0, 1] * response[1, 0]
-    if not det > _MIN_DETERMINANT:
+    if not np.linalg.det(response) > _MIN_DETERMINANT:
         return np.eye(2)
-    adjugate = np.array([[response[1, 1], -response[0, 1]], [-response[1, 0], response[0, 0]]])
-    more = adjugate / det - np.eye(2)
-    return np.eye(2) + more * min(1.0, _MAX_EXCESS / (np.sqrt(np.sum(more * more)) + 1e-12))
+    more = np.linalg.inv(response) - np.eye(2)
+    return np.eye(2) + more * min(1.0, _MAX_EXCESS / (float(np.linalg.norm(more)) + 1e-12))

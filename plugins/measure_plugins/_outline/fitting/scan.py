@@ -102,8 +102,7 @@ def scan_half_level(
         profiles = sample_nearest(view.pixels, view.table, rays, steps)
     else:
         lit = np.ones(len(steps), np.bool_)
-        light, _ = sample(view.pixels, view.table, rays, steps, lit, len(steps))
-        profiles = light.astype(np.float64)
+        profiles, _ = sample(view.pixels, view.table, rays, steps, lit, len(steps))
     within, without = levels(profiles, steps, inside), levels(profiles, steps, outside)
     x, contrast = project(profiles, within, without, False)
     at, slope = crossings(x, steps, reach_px)

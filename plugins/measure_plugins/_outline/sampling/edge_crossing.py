@@ -6,7 +6,10 @@ vectorised, twice as wide in single precision. See docs/explanation/outline.md, 
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
 import numpy as np
+from numpy.typing import NDArray
 
 from measure.arrays import Bools, Bytes, Floats, Reals
 from measure.compiling import compiled
@@ -19,13 +22,12 @@ _SLOPE_PX = 4.0
 """Standard deviation in px of a crossing, per slope of the shading inside (share of contrast per
 px): the slope over the 5 px to the window shifts the level, half of that the half level, which
 costs 3 px per share of contrast on a blurred edge; half of the whole is taken."""
-NINE = 9
-"""Most rows of `median_rows`."""
-_THREE, _FOUR = 3, 4
+
+_Real = TypeVar("_Real", bound=np.floating[Any])
 
 
 @compiled
-def levels(profiles: Reals, steps: Floats, window: tuple[float, float]) -> Reals:
+def levels(profiles: NDArray[_Real], steps: Floats, window: tuple[float, float]) -> NDArray[_Real]:
     """Median colours (3, n) within a window.
 
     Args:
@@ -33,87 +35,34 @@ def levels(profiles: Reals, steps: Floats, window: tuple[float, float]) -> Reals
         steps: (m,) px along the normal.
         window: its ends, px.
     """
-    m, n = profiles.shape[1:]
-    first, last = m, 0
-    for j in range(m - 1, -1, -1):
-        if window[0] <= steps[j] <= window[1]:
-            first = j
-            last = max(last, j + 1)
-    if last - first > NINE:
-        raise ValueError("a window holds more than nine steps")
-    within = np.empty((NINE, 3 * n), profiles.dtype)
+    n, first, last = profiles.shape[2], 0, 0
+    for step in steps:
+        first += int(step < window[0])
+        last += int(step <= window[1])
+    within = np.empty((last - first, 3 * n), profiles.dtype)
     for j in range(last - first):
         for c in range(3):
             for i in range(n):
                 within[j, c * n + i] = profiles[c, first + j, i]
-    return median_rows(within, last - first).reshape(3, n)
+    return median_rows(within).reshape(3, n)
 
 
 @compiled
-def median_rows(rows: Reals, count: int) -> Reals:
-    """Medians (n,) over the first `count` of rows (9, n); the others are overwritten."""
-    n = rows.shape[1]
-    out = np.empty(n, rows.dtype)
-    if count == _THREE:
-        for i in range(n):
-            out[i] = _sorted(rows[0, i], rows[1, i], rows[2, i])[1]
-        return out
-    if count == _FOUR:
-        _middle_of_four(rows, out)
-        return out
-    for j in range(count, NINE):
-        rows[j] = np.inf if j % 2 == 0 else -np.inf
-    _middle_of_nine(rows, out)
-    if count % 2 == 0:
-        lower = np.empty(n, rows.dtype)
-        rows[NINE - 1] = -np.inf
-        _middle_of_nine(rows, lower)
-        for i in range(n):
-            out[i] = 0.5 * (lower[i] + out[i])
-    return out
+def median_rows(rows: NDArray[_Real]) -> NDArray[_Real]:
+    """Medians (n,) over rows (k, n), which are sorted, place by place.
 
-
-@compiled
-def _middle_of_four(rows: Reals, out: Reals) -> None:
-    """Mean (n,) of the middle two of rows (4, n): the greater low and the lesser high of pairs."""
-    half = rows.dtype.type(0.5)
-    for i in range(len(out)):
-        a, b, c, d = rows[0, i], rows[1, i], rows[2, i], rows[3, i]
-        low, high = _greater(_less(a, b), _less(c, d)), _less(_greater(a, b), _greater(c, d))
-        out[i] = half * (low + high)
-
-
-@compiled
-def _middle_of_nine(rows: Reals, out: Reals) -> None:
-    """Middle (n,) of rows (9, n).
-
-    Without branches, so that the loop is vectorised: each triple is sorted, and the middle is that
-    of the greatest low, the middle middle and the least high (Paeth 1990).
+    By exchanges of neighbouring rows (odd-even transposition sort), whose loops are vectorised.
     """
-    for i in range(len(out)):
-        low, middle, high = _sorted(rows[0, i], rows[1, i], rows[2, i])
-        low2, middle2, high2 = _sorted(rows[3, i], rows[4, i], rows[5, i])
-        low3, middle3, high3 = _sorted(rows[6, i], rows[7, i], rows[8, i])
-        greatest_low = _greater(_greater(low, low2), low3)
-        least_high = _less(_less(high, high2), high3)
-        out[i] = _sorted(greatest_low, _sorted(middle, middle2, middle3)[1], least_high)[1]
-
-
-@compiled
-def _sorted(a: float, b: float, c: float) -> tuple[float, float, float]:
-    a, b = _less(a, b), _greater(a, b)
-    b, c = _less(b, c), _greater(b, c)
-    return _less(a, b), _greater(a, b), c
-
-
-@compiled
-def _less(a: float, b: float) -> float:
-    return a if a < b else b
-
-
-@compiled
-def _greater(a: float, b: float) -> float:
-    return b if a < b else a
+    (count, n), half = rows.shape, rows.dtype.type(0.5)
+    for turn in range(count):
+        for j in range(turn % 2, count - 1, 2):
+            for i in range(n):
+                a, b = rows[j, i], rows[j + 1, i]
+                rows[j, i], rows[j + 1, i] = a if a < b else b, b if a < b else a
+    out = np.empty(n, rows.dtype)
+    for i in range(n):
+        out[i] = half * (rows[(count - 1) // 2, i] + rows[count // 2, i])
+    return out
 
 
 @compiled

@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 
 from measure.arrays import Bools, Bytes, Floats, Ints, Reals, Singles
 from measure.compiling import compiled, inlined
-from measure.model.lens import (
-    BLUE,
-    FISHEYE,
-    RED,
-    PixelOf,
-    fisheye_pixel,
-    lens_numbers,
-    pinhole_pixel,
-)
+from measure.model.lens import BLUE, RED, to_pixel
 
 STEPS = np.arange(-16.5, 6.51, 1.0)
 """Samples along a ray, px along the outward normal: a pixel apart, as the picture's pixels are, and
@@ -115,31 +107,14 @@ def _project_ring(
     frame: Floats, half_angle: float, around: Floats, lens: Floats, out: Floats
 ) -> None:
     """Fill pixels (2, n) of the directions at `half_angle` from `frame[2]`, at (n, 2) around it."""
-    ring = (np.cos(half_angle), np.sin(half_angle))
-    if lens[FISHEYE] > 0:
-        _fill_ring(frame, ring, around, lens, fisheye_pixel, out)
-    else:
-        _fill_ring(frame, ring, around, lens, pinhole_pixel, out)
-
-
-@inlined
-def _fill_ring(
-    frame: Floats,
-    ring: tuple[float, float],
-    around: Floats,
-    lens: Floats,
-    pixel: PixelOf,
-    out: Floats,
-) -> None:
-    near, radial = ring
+    near, radial = np.cos(half_angle), np.sin(half_angle)
     a, b, c = near * frame[2, 0], near * frame[2, 1], near * frame[2, 2]
-    numbers = lens_numbers(lens)
     for i in range(len(around)):
         cosine, sine = around[i, 0], around[i, 1]
         x = cosine * frame[0, 0] + sine * frame[1, 0]
         y = cosine * frame[0, 1] + sine * frame[1, 1]
         z = cosine * frame[0, 2] + sine * frame[1, 2]
-        out[0, i], out[1, i] = pixel(a + radial * x, b + radial * y, c + radial * z, numbers)
+        out[0, i], out[1, i] = to_pixel(a + radial * x, b + radial * y, c + radial * z, lens)
 
 
 @compiled
@@ -271,11 +246,11 @@ def _shift(shifts: Floats, color: int, i: int) -> tuple[float, float]:
 
 
 @compiled
-def sample_nearest(image: Bytes, table: Floats, rays: RaySet, steps: Floats) -> Floats:
+def sample_nearest(image: Bytes, table: Floats, rays: RaySet, steps: Floats) -> Singles:
     """Light (3, m, n) of the nearest pixels; else as `sample`."""
     points, normals = rays.points, rays.normals
     m, n = len(steps), len(points)
-    light = np.zeros((3, m, n))
+    light = np.zeros((3, m, n), np.float32)
     _mark_outside(image, rays, steps)
     for j in range(m):
         for i in range(n):
