@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from measure.metrology.rests import SHORTEST_S, Rests, find_rests
 from measure.model import Body, Camera, Pose
 from measure.results import Run, read_run
 from measure.results.pose_table import poses_of, rests_of, shared_errors
+from measure.results.run import camera_in
 from measure.session import Calibration, read_calibration
 
 _LATEST = 3000  # Poses in which rests are looked for while measuring
@@ -241,15 +242,4 @@ def _moved(given: Calibration, place: UncertainTransform, origin: str) -> Calibr
         "translation_mm": place.transform.translation,
         "covariance": place.covariance,
     }
-    return Calibration(tuple(_moved_camera(c, new_from_old) for c in given.cameras), notes)
-
-
-def _moved_camera(camera: Camera, new_from_old: RigidTransform) -> Camera:
-    turn = np.kron(np.eye(2), new_from_old.rotation)
-    own, both = camera.pose_covariance, camera.pose_intrinsics_covariance
-    return replace(
-        camera,
-        world_from_camera=new_from_old @ camera.world_from_camera,
-        pose_covariance=None if own is None else turn @ own @ turn.T,
-        pose_intrinsics_covariance=None if both is None else turn @ both,
-    )
+    return Calibration(tuple(camera_in(new_from_old, c) for c in given.cameras), notes)

@@ -72,6 +72,7 @@ def report(
     truth: Path | None = None,
     body: str | None = None,
     overwrite: bool = False,
+    frame: Path | None = None,
 ) -> Path:
     """Write the report of a run as one self-contained HTML file; gives the file.
 
@@ -80,7 +81,9 @@ def report(
         truth: poses over time; those of the run's session if omitted and there are any.
         body: which body, of a run of several; all if omitted.
         overwrite: replace what is there.
+        frame: by `register`: poses and errors are shown in the axes of the robot's base.
     """
+    from measure.learning.frames import read_frame
     from measure.viewing.report.run_report import run_report
 
     path = out or run_path / "report.html"
@@ -89,9 +92,18 @@ def report(
         errors = []
         for run in runs:
             file = (truth or _truth_of(run)) if run.poses.num_rows else None
-            known = None if file is None else read_trajectory(file, RunError, _own_name(run))
-            errors.append(None if known is None else pose_errors(run, known))
-        made = run_report(runs, errors, _picture(runs))
+            true = None if file is None else read_trajectory(file, RunError, _own_name(run))
+            errors.append(None if true is None else pose_errors(run, true))
+        picture, axes = _picture(runs), "the cameras' world"
+        if frame is not None:
+            known, axes = read_frame(frame), "the robot's base"
+            base_from_world = known.world_from_base.inverse()
+            runs = [run.in_frame(base_from_world) for run in runs]
+            errors = [
+                off if off is None else base_from_world.rotate(off.reshape(-1, 2, 3)).reshape(-1, 6)
+                for off in errors
+            ]
+        made = run_report(runs, errors, picture, axes)
         # A folder may have a name that is no text.
         page.write_text(made, encoding="utf-8", errors="backslashreplace")
     return path

@@ -17,6 +17,7 @@ def report(
     overwrite: Overwrite = False,
     truth: Path | None = None,
     body: str | None = None,
+    frame: Path | None = None,
 ) -> None:
     """Write a run's report as one HTML file.
 
@@ -27,5 +28,6 @@ def report(
         out: the file to write; report.html in the run's folder if omitted.
         truth: a trajectory to compare with; the session's own if omitted.
         body: which body, of a run of several; all if omitted.
+        frame: written by `measure register`: show poses in the axes of the robot's base.
     """
-    console.print_text(str(api.report(run, out, truth, body, overwrite)))
+    console.print_text(str(api.report(run, out, truth, body, overwrite, frame)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from measure.arrays import Bools, Floats
 from measure.errors import RunError
-from measure.geometry import RigidTransform
+from measure.geometry import RigidTransform, propagate
 from measure.model import Body, Camera
 from measure.results.distances import BallDistance, ball_distances, body_notes, contradictions
 from measure.results.journal import is_missing, read_table
@@ -94,6 +94,35 @@ class Run:
     def covariances(self) -> Floats:
         """Covariances (m, 6, 6) of the poses there are."""
         return matrices(self.poses, "covariance", 6)[self.has_pose]
+
+    def in_frame(self, frame_from_world: RigidTransform) -> Run:
+        """The same poses and cameras in the axes of another frame, which is known exactly."""
+        poses, n = self.poses, self.poses.num_rows
+        moved, turn = frame_from_world @ self.world_from_body, frame_from_world.rotation
+        place = np.full((n, 7), np.nan)
+        place[self.has_pose] = np.hstack([moved.translation, moved.quat_wxyz])
+        covariance = np.zeros((n, 36))
+        covariance[self.has_pose] = propagate(np.kron(np.eye(2), turn), self.covariances).reshape(
+            -1, 36
+        )
+        new = dict(zip(PLACE, (pa.array(x, mask=~self.has_pose) for x in place.T), strict=True))
+        new["covariance"] = pa.array([*covariance], pa.list_(pa.float64(), 36), mask=~self.has_pose)
+        for name, column in new.items():
+            poses = poses.set_column(poses.column_names.index(name), name, column)
+        cameras = tuple(camera_in(frame_from_world, camera) for camera in self.cameras)
+        return replace(self, cameras=cameras, poses=poses)
+
+
+def camera_in(frame_from_world: RigidTransform, camera: Camera) -> Camera:
+    """A camera and its uncertainty in another frame than its world."""
+    turn = np.kron(np.eye(2), frame_from_world.rotation)
+    own, both = camera.pose_covariance, camera.pose_intrinsics_covariance
+    return replace(
+        camera,
+        world_from_camera=frame_from_world @ camera.world_from_camera,
+        pose_covariance=None if own is None else propagate(turn, own),
+        pose_intrinsics_covariance=None if both is None else turn @ both,
+    )
 
 
 def read_run(folder: Path, body: str | None = None) -> Run:

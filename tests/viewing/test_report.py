@@ -19,6 +19,7 @@ from measure.api.results import report
 from measure.api.run import resolved
 from measure.geometry import RigidTransform
 from measure.host import Registry
+from measure.learning.frames import RobotFrame, write_frame
 from measure.measuring import Status
 from measure.results import Provenance, RunWriter, read_run
 from measure.results.accuracy import accuracy_map
@@ -240,6 +241,31 @@ def test_times_count_from_the_start_and_the_head_has_the_date(tmp_path):
     assert curves
     for curve in curves:
         assert _values(curve["x"])[[0, -1]] == pytest.approx([0, 11 / 30], abs=1e-6)
+
+
+def test_poses_are_shown_in_the_axes_of_a_robots_base(tmp_path):
+    """The pictures do not change, uncertainty turns along, and what has no pose still has none."""
+    run = _run(tmp_path / "run", 12, lost=(4,))
+    base_from_world = RigidTransform.from_rotvec([0.3, -1.1, 0.6], [500.0, -80, 20])
+    moved = run.in_frame(base_from_world)
+    np.testing.assert_array_equal(moved.has_pose, run.has_pose)
+    for before, after in zip(run.cameras, moved.cameras, strict=True):
+        for k in range(11):
+            seen = [
+                camera.project(one.world_from_body[k].apply(BODY.centers))
+                for camera, one in ((before, run), (after, moved))
+            ]
+            np.testing.assert_allclose(*seen, atol=1e-6)
+    turn = np.kron(np.eye(2), base_from_world.rotation)
+    np.testing.assert_allclose(moved.covariances, turn @ run.covariances @ turn.T, atol=1e-12)
+    assert np.linalg.norm(moved.world_from_body.translation - run.world_from_body.translation) > 100
+    poses = base_from_world.inverse(), RigidTransform.identity()
+    file = tmp_path / "frame.toml"
+    write_frame(file, RobotFrame("ur5e", *poses, {"run": 0.0}, np.eye(12), (), {}))
+    for frame in (file, None):
+        page = report(run.path, tmp_path / "page.html", overwrite=True, frame=frame)
+        said = "In axes of the robot's base" in html.unescape(page.read_text("utf-8"))
+        assert said == (frame is not None)
 
 
 def test_states_have_the_viewers_colors(tmp_path):

@@ -32,11 +32,13 @@ def run_report(
     runs: Sequence[Run],
     errors: Sequence[Floats | None] = (),
     picture: tuple[int, bytes] | None = None,
+    axes: str = "the cameras' world",
 ) -> str:
     """The report as HTML, of each body's run, finished or not, also without any pose.
 
     With the errors (n, 6) of the poses against truth in the `perturb` chart, NaN where unknown; and
-    a frame set with a JPEG file of its views with what was found drawn in.
+    a frame set with a JPEG file of its views with what was found drawn in; and whose axes x, y and
+    z are.
     """
     errors = errors or [None] * len(runs)
     verdicts = [verdict(run, off) for run, off in zip(runs, errors, strict=True)]
@@ -51,10 +53,10 @@ def run_report(
         page.about = f"{run.body.name}: " if several else ""
         page.facts(_facts(run))
         if off is not None:
-            _add_errors(page, run, off)
+            _add_errors(page, run, off, axes)
         if run.has_pose.any():
-            _add_poses(page, run)
-            add_motion(page, run, since_start(run))
+            _add_poses(page, run, axes)
+            add_motion(page, run, since_start(run), axes)
             add_noise(page, run, off)
             _add_accuracy(page, run)
         if run.detections.num_rows:
@@ -109,12 +111,12 @@ def _number(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}" if np.isfinite(value) else "unknown"
 
 
-def _add_errors(page: Page, run: Run, errors: Floats) -> None:
+def _add_errors(page: Page, run: Run, errors: Floats, axes: str) -> None:
     curves = _by_axis(errors[:, :3]) | {"3d": np.linalg.norm(errors[:, :3], axis=1)}
     turn = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
     page.figures(
         "Error against truth",
-        "Measured minus true position, in world axes; gaps are frame sets without a pose.",
+        f"Measured minus true position, in axes of {axes}; gaps are frame sets without a pose.",
         figures.over_time(since_start(run), curves, "error [mm]", figures.AXIS_COLORS),
         figures.over_time(since_start(run), {"rotation": turn}, "error [deg]"),
         figures.histograms(errors[:, :3], ("x", "y", "z"), "error [mm]"),
@@ -122,7 +124,7 @@ def _add_errors(page: Page, run: Run, errors: Floats) -> None:
     )
 
 
-def _add_poses(page: Page, run: Run) -> None:
+def _add_poses(page: Page, run: Run, frame: str) -> None:
     has = run.has_pose
     sd = run.poses["position_sd_mm"].to_numpy()
     sure, doubtful = _sure_and_doubtful(run)
@@ -150,7 +152,7 @@ def _add_poses(page: Page, run: Run) -> None:
     middle = np.nanmedian(sure, axis=0) if np.isfinite(sure).any() else np.zeros(3)
     page.figures(
         "Position",
-        "In world axes; the curves have gaps where there is no pose, and where one is flagged.",
+        f"In axes of {frame}; the curves have gaps where there is no pose, or a flagged one.",
         figures.over_time(since_start(run), _by_axis(sure), "position [mm]", figures.AXIS_COLORS),
         figures.histograms(sure - middle, ("x", "y", "z"), "about the median [mm]"),
     )
@@ -312,13 +314,13 @@ def _without_folders(value: Any) -> Any:
     return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
 
 
-def add_motion(page: Page, run: Run, since_start_s: Floats) -> None:
+def add_motion(page: Page, run: Run, since_start_s: Floats, axes: str) -> None:
     """Rotation and speed over time, of the unflagged poses; gaps where there is none."""
     turned, speed, spin = _motion(run)
     drawn = zip("xyz", turned.T, strict=True)
     page.figures(
         "Rotation and speed",
-        "Rotation from the first unflagged pose, as a rotation vector along the world's axes; "
+        f"Rotation from the first unflagged pose, as a rotation vector along axes of {axes}; "
         "speeds from the pose before to the pose after. Gaps are as in the position.",
         figures.over_time(since_start_s, dict(drawn), "rotation [deg]", figures.AXIS_COLORS),
         figures.over_time(since_start_s, {"speed": speed}, "speed [mm/s]"),
