@@ -30,7 +30,7 @@ class Rig:
     """Cameras as arrays, one row per camera; a camera may stand in it more than once."""
 
     names: tuple[str, ...]  # (n,) of the cameras
-    rows: RigRows
+    rows: RigRows  # of the cameras, in the same order
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> Rig:

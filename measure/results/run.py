@@ -98,13 +98,12 @@ class Run:
     def in_frame(self, frame_from_world: RigidTransform) -> Run:
         """The same poses and cameras in the axes of another frame, which is known exactly."""
         poses, n = self.poses, self.poses.num_rows
-        moved, turn = frame_from_world @ self.world_from_body, frame_from_world.rotation
+        moved = frame_from_world @ self.world_from_body
         place = np.full((n, 7), np.nan)
         place[self.has_pose] = np.hstack([moved.translation, moved.quat_wxyz])
         covariance = np.zeros((n, 36))
-        covariance[self.has_pose] = propagate(np.kron(np.eye(2), turn), self.covariances).reshape(
-            -1, 36
-        )
+        turned = propagate(_chart_turn(frame_from_world), self.covariances)
+        covariance[self.has_pose] = turned.reshape(-1, 36)
         new = dict(zip(PLACE, (pa.array(x, mask=~self.has_pose) for x in place.T), strict=True))
         new["covariance"] = pa.array([*covariance], pa.list_(pa.float64(), 36), mask=~self.has_pose)
         for name, column in new.items():
@@ -115,7 +114,7 @@ class Run:
 
 def camera_in(frame_from_world: RigidTransform, camera: Camera) -> Camera:
     """A camera and its uncertainty in another frame than its world."""
-    turn = np.kron(np.eye(2), frame_from_world.rotation)
+    turn = _chart_turn(frame_from_world)
     own, both = camera.pose_covariance, camera.pose_intrinsics_covariance
     return replace(
         camera,
@@ -123,6 +122,13 @@ def camera_in(frame_from_world: RigidTransform, camera: Camera) -> Camera:
         pose_covariance=None if own is None else propagate(turn, own),
         pose_intrinsics_covariance=None if both is None else turn @ both,
     )
+
+
+def _chart_turn(frame_from_world: RigidTransform) -> Floats:
+    """Matrix (6, 6) that takes a pose's `perturb` chart to that of the pose in another frame."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = frame_from_world.rotation
+    return out
 
 
 def read_run(folder: Path, body: str | None = None) -> Run:

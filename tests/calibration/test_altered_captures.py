@@ -63,7 +63,7 @@ def test_foreign_files_are_written_and_known_lenses_read(altered, form: str, nam
         assert np.abs(a.world_from_camera.difference(b.world_from_camera)).max() < 1e-6
         np.testing.assert_allclose(a.intrinsics.matrix, b.intrinsics.matrix, atol=1e-6)
     capture.substitute("capture.toml", "known.toml", name)
-    assert main(["calibrate", str(capture.folder), "-o", str(output)]) == 0
+    assert main(["calibrate", str(capture.folder), "-o", str(output), "--overwrite"]) == 0
     assert cost_mm(capture) < 0.02
 
 

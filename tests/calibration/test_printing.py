@@ -197,7 +197,7 @@ def test_shipped_targets_are_drawn_by_name(tmp_path: Path) -> None:
     assert set(shipped_targets()) == {path.stem for path in TARGETS.glob("*.toml")}
     by_path = draw_target(TARGETS / "chessboard_9x6_25.toml", tmp_path / "path.svg")[1]
     for name in ("chessboard_9x6_25.toml", "chessboard_9x6_25"):
-        by_name = draw_target(name, tmp_path / "name.svg")[1]
+        by_name = draw_target(name, tmp_path / f"{name}.svg")[1]
         assert by_name.read_bytes() == by_path.read_bytes()
 
 

@@ -15,7 +15,8 @@ from benchmarks.errors import body_cost
 from measure.api import calibrate
 from measure.arrays import Floats
 from measure.calibration import calibrate_lens, find_views, read_board
-from measure.calibration.capture import CameraCapture
+from measure.calibration.capture import Capture, CaptureCamera, CaptureTable
+from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.geometry import Rays, RigidTransform, align_points, nearest_point
 from measure.model import Camera, Intrinsics, paper_body
@@ -161,10 +162,12 @@ def test_four_real_webcams_from_inverted_charuco_videos(
         'kind = "charuco"\ninner_corners = [3, 4]\nsquare_mm = 54.0\nmarker_mm = 40.5\n'
         'dictionary = "DICT_4X4_1000"\ninverted = true\n'
     )
-    name = f"cam_{number}.mp4"
-    camera = CameraCapture(f"cam{number}", videos, name, None, None, None, None)
-    board = read_board(tmp_path / "board.toml")
-    found = calibrate_lens(board, find_views(board, camera.views(), camera.name), camera.name)
+    camera = CaptureCamera(name=f"cam{number}", intrinsics=f"cam_{number}.mp4")
+    board, table = read_board(tmp_path / "board.toml"), CaptureTable(name="lenses")
+    capture = Capture(videos / "capture.toml", table, board, MarkerField(), (camera,))
+    found = calibrate_lens(
+        board, find_views(board, capture.views(camera), camera.name), camera.name
+    )
     assert found.fit.rms_px < 0.3
     assert found.intrinsics.focal_px == pytest.approx(focal_px, rel=0.06)
     assert (found.views.mirrored > 0) == (number == 1)

@@ -101,7 +101,8 @@ def test_runs_of_one_restart_are_one_recording(
     data = files.read_dataset(tmp_path / "data.parquet")
     assert data.names == ("mon/run1", "mon/run2", "tue/run3")
     assert [recording_of(name) for name in data.names] == ["mon", "mon", "tue"]
-    assert main(["dataset", *words, "--restart-name", "mon", "--restart-name", "tue"]) == 2
+    words += ["--overwrite", "--restart-name", "mon", "--restart-name", "tue"]
+    assert main(["dataset", *words]) == 2
     assert "expected one name without '/' for all 3 runs" in capsys.readouterr().err
 
 

@@ -160,6 +160,7 @@ def test_one_recording_promises_nothing_and_validation_is_no_test(
     assert "Error on the validation trajectories" in card
     assert "test" not in card.partition("## ")[2]
     assert "test" not in json.loads((tmp_path / "m.card.json").read_text())["data"]
+    words += ["--overwrite"]
     assert main([*words, "--test", str(one)]) == 2
     assert "'a/0' is among those to learn from" in capsys.readouterr().err
     assert main([*words, "--test", str(other), "--folds", "1"]) == 2
