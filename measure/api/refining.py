@@ -317,8 +317,8 @@ def _frame(
     if pattern is not None:
         like = align_points(centers, pattern.centers_of(names))
         if origin is None:
-            return like, "origin and axes as in the file of --like, fitted to all balls"
-        return RigidTransform(like.rotation, at), f"origin at {where}, axes as in that of --like"
+            return like, "origin and axes of the body it is like, fitted to all balls"
+        return RigidTransform(like.rotation, at), f"origin at {where}, axes of the body it is like"
     x = (centers[1] - centers[0]) / np.linalg.norm(centers[1] - centers[0])
     normals = np.cross(x, centers - centers[0])
     third = int(np.argmax(np.linalg.norm(normals, axis=1)))
