@@ -86,7 +86,8 @@ ROWS = (
     Row("mlp", "--estimator mlp --folds 0"),
     Row(
         "stream",
-        "--set grus=2 --set gru_epochs=60 --set perceptrons=4 --set perceptron_epochs=30 --folds 2",
+        "--set grus=1 --set gru_units=64 --set gru_epochs=20 --set perceptrons=2 "
+        "--set perceptron_epochs=15 --folds 2",
     ),
 )
 
