@@ -9,6 +9,7 @@ from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED
 from measure_plugins._outline.self_calibration.response_and_blur import aligned_residuals
 
 STEP_PX, SAMPLES, RAYS, COMPARED = 0.5, 24, 30, 18
+NONE = np.empty(0)
 
 
 def edge(shift_px):
@@ -27,7 +28,7 @@ def test_a_shift_and_growth_of_the_outline_leave_nothing(around):
     status = np.zeros(RAYS, np.int8)
     predicted = edge(np.zeros(RAYS))
     seen = edge(0.02 * around[:, 0] - 0.01 * around[:, 1] + 0.015)
-    left, weights = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX)
+    left, weights = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX, NONE)
     assert left.shape == (RAYS, 3 * COMPARED)
     assert np.abs(left).max() < 0.1 * np.abs(seen - predicted).max()
     assert np.all((weights > 0) & (weights <= 1))
@@ -40,7 +41,7 @@ def test_what_is_no_shift_stays_and_hidden_rays_do_not_count(around):
     predicted = edge(np.zeros(RAYS))
     seen = predicted + 0.01 * rng.normal(size=predicted.shape)
     seen[:, :, status != CLEAR] += 1.0
-    left, weights = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX)
+    left, weights = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX, NONE)
     assert left.shape == (RAYS - 3, 3 * COMPARED)
     expected, _ = by_numpy(seen, predicted, status, around, weights)
     again, same = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX, weights)
@@ -53,7 +54,7 @@ def test_a_ray_unlike_the_others_loses_its_weight(around):
     status, predicted = np.zeros(RAYS, np.int8), edge(np.zeros(RAYS))
     seen = predicted + 0.002 * np.random.default_rng(4).normal(size=predicted.shape)
     seen[:, :, 11] += 0.2
-    _, weights = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX)
+    _, weights = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX, NONE)
     assert weights[11] < 0.01 * np.median(weights)
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
 from measure.geometry.covariance import MAD_TO_SD
 from measure_plugins._outline.appearance.model import Appearance
@@ -27,10 +27,11 @@ from measure_plugins._outline.appearance.point_lights import (
     no_point_lights,
     shade_by_lights,
 )
+from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.render import split_light
 from measure_plugins._outline.appearance.shading import AXIAL, RADIAL, UNIFORM, some_clear
 from measure_plugins._outline.fitting.edges import sampled_light
-from measure_plugins._outline.sampling.rays import STEPS
+from measure_plugins._outline.sampling.rays import STEPS, RaySet
 from measure_plugins._outline.self_calibration.patch import BallPatch
 from measure_plugins._outline.self_calibration.response_and_blur import misfits
 
@@ -40,6 +41,7 @@ _LIGHT_DISTANCE_MM = 1000.0
 the camera if it is further away."""
 _OUTERMOST_PX = -1.0  # Last step along the normal that is used
 _STEP_STRIDE = 2
+_SKY_COLUMNS = 6  # Columns of light from all round, see `_add_skies`
 _ITERATIONS = 4
 _SWEEPS = 400
 _RIDGE = 3e-4
@@ -103,7 +105,15 @@ def light_equations(
     places = _light_sphere(middle, world_from_camera)
     shares, seen = [], []
     for patch in patches:
-        one, amounts = _light_design(patch, appearance, places, world_from_camera)
+        tables = appearance.tables(patch.half_angle * patch.scale, patch.half_angle)
+        one, amounts = _light_design(
+            patch.pixels,
+            appearance.table,
+            patch.own_rays(),
+            tables,
+            patch.frame @ world_from_camera.T,
+            lights_about(places, patch.frame, patch.distance),
+        )
         shares.append(one)
         bright = max(float(np.quantile(amounts, 0.9)), 1e-6)
         seen.append(amounts / bright)
@@ -193,32 +203,49 @@ def non_negative(normal: Floats, right: Floats, start: Floats, sweeps: int) -> F
     return out
 
 
+@compiled
 def _light_design(
-    patch: BallPatch, appearance: Appearance, places: Floats, world_from_camera: Floats
+    pixels: Bytes,
+    table: Floats,
+    rays: RaySet,
+    tables: RadialTables,
+    frame: Floats,
+    point_lights: Floats,
 ) -> tuple[Floats, Floats]:
-    """Light of each of k point lights, and from all round, at some of a ball's clear pixels.
-
-    Light from all round is of skies that fade linearly from one side to none on the opposite one,
-    by the side from which most comes: either way along the world's x, y and z.
+    """Light of each point light, and from all round, at some of a ball's clear pixels.
 
     Returns:
-        That (p, k + 6); and the amounts (p,) of the body colour seen there.
+        That (p, k + 6), see `_add_skies`; and the amounts (p,) of the body colour seen there.
     """
-    tables = appearance.tables(patch.half_angle * patch.scale, patch.half_angle)
-    rays, frame = patch.own_rays(), patch.frame
-    light, background = sampled_light(patch.pixels, appearance.table, rays)
+    light, background = sampled_light(pixels, table, rays)
     inside = int(np.searchsorted(STEPS, _OUTERMOST_PX, side="right"))
     _, amounts, _, _ = split_light(light, rays.status, background, STEPS, tables, inside)
     used, clear = np.arange(0, inside, _STEP_STRIDE), some_clear(rays.status)
-    rows, around = tables.diffuse[used], rays.around[clear]
-    loss = tables.fresnel_loss[0]
-    shown = [
-        shade_by_lights(rows, loss, around, one[None])
-        for one in lights_about(places, frame, patch.distance)
-    ]
-    uniform, (right, down, ahead) = rows[:, [UNIFORM]], frame @ world_from_camera.T
+    rows, angles = tables.diffuse[used], rays.around[clear]
+    out = np.empty((len(used), len(clear), len(point_lights) + _SKY_COLUMNS))
+    for k in range(len(point_lights)):
+        out[:, :, k] = shade_by_lights(
+            rows, tables.fresnel_loss[0], angles, point_lights[k : k + 1]
+        )
+    _add_skies(rows, angles, frame, out[:, :, len(point_lights) :])
+    seen = amounts[used][:, clear].copy()
+    return out.reshape(seen.size, len(point_lights) + _SKY_COLUMNS), seen.reshape(-1)
+
+
+@compiled
+def _add_skies(diffuse: Floats, around: Floats, frame: Floats, out: Floats) -> None:
+    """Fill the light (m, n, 6) of skies that fade linearly from one side to none on the opposite.
+
+    Args:
+        diffuse: (m, 6) see `RadialTables`.
+        around: (n, 2) cosine and sine around the axis.
+        frame: (3, 3) about it.
+        out: by the side from which most comes: either way along the camera's x, y and z.
+    """
     for a in range(3):
-        sideways = around @ (right[a], down[a])
-        gradient = np.outer(rows[:, RADIAL], sideways) - rows[:, [AXIAL]] * ahead[a]
-        shown += [uniform + gradient, uniform - gradient]
-    return np.stack(shown, axis=-1).reshape(-1, len(shown)), amounts[used][:, clear].ravel()
+        for i in range(len(around)):
+            sideways = around[i, 0] * frame[0, a] + around[i, 1] * frame[1, a]
+            for j in range(len(diffuse)):
+                uniform = diffuse[j, UNIFORM]
+                gradient = diffuse[j, RADIAL] * sideways - diffuse[j, AXIAL] * frame[2, a]
+                out[j, i, 2 * a], out[j, i, 2 * a + 1] = uniform + gradient, uniform - gradient
