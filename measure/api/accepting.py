@@ -57,7 +57,7 @@ def accept(
         if page is not None:
             from measure.viewing.report.acceptance_report import acceptance_report
 
-            file.write_text(acceptance_report(opened, *vars(accepted).values()), "utf-8")
+            file.write_text(acceptance_report(opened, accepted.judged, accepted.promises), "utf-8")
     return accepted
 
 

@@ -45,7 +45,7 @@ def measure_frame_sets(
             waiting.append(frame_set)
             yield frame_set
 
-    gc.freeze()  # what is loaded by now stays: looking through it again and again takes a tenth
+    gc.freeze()  # what is loaded by now stays: each look through it would hold up a live pose
     try:
         for measured in measure_together(pipelines, remember()):
             yield waiting.popleft(), measured

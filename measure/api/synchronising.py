@@ -109,11 +109,12 @@ def sync(
     """
     if not seconds > 0:
         raise ConfigError(f"{seconds:g} seconds: must be more than 0")
-    # What is added to the session's own file replaces no other offsets: that is refused below.
-    with output(out or session_file(session_path), overwrite or out is None) as written:
-        file = session_file(session_path)
+    file = session_file(session_path)
+    # The session's own file is not replaced, but added to.
+    with output(out or file, overwrite or out is None) as written:
         with open_session(file, clocks_apart=True) as session:
-            add_time_offsets(file, dict.fromkeys(session.streams, 0.0), overwrite)  # may it be?
+            # Offsets that may not be replaced are refused before anything is searched.
+            add_time_offsets(file, dict.fromkeys(session.streams, 0.0), overwrite)
             clocks = _synced(session, registry, profile, seconds, progress)
         offsets_s = {name: clock.offset_s for name, clock in clocks.items()}
         written.write_text(add_time_offsets(file, offsets_s, overwrite), "utf-8")

@@ -183,7 +183,8 @@ def _picture(marks: _Marks, marking: api.Marking) -> None:
             table.on("rowClick", lambda e: marks.choose(e.args[1]["marker"]), [[], ["marker"]])
 
     def show() -> None:
-        table.rows = marks.rows(marking)
+        if table.rows != (rows := marks.rows(marking)):
+            table.rows = rows
         content = "".join(marks.drawn(*one) for one in marking.marks[marks.camera].items())
         if image.content != content:
             image.content = content

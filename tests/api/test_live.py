@@ -133,7 +133,7 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
         stack.callback(thread.join)
         assert main([*words("live", session, addresses, run, *more), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["frame_sets"] >= 15
+    assert told["frame_sets"] >= 8
     assert told["ok"] >= told["frame_sets"] - 4
     assert told["age_s"] < 5 * PERIOD_S
     poses = rows(run)

@@ -51,10 +51,10 @@ def choose(page: Chromium, label: str, text: str) -> None:
 
 
 def fill(page: Chromium, label: str, text: str) -> None:
-    """Type into the field with this label."""
+    """Type into the field with this label, in place of what it holds."""
     field = f"""document.querySelector('input[aria-label="{label}"]')"""
     page.wait_for(f"!!{field}", 20)
-    page.evaluate(f"{field}.focus()")
+    page.evaluate(f"{field}.select()")
     page.send("Input.insertText", text=text)
 
 
