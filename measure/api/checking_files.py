@@ -6,71 +6,57 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from pathlib import Path
 
-from measure.checking import (
-    Finding,
-    Level,
-    damage_findings,
-    duplicate_findings,
-    stamp_findings,
-    worst_first,
-)
+from measure import checking, session
 from measure.errors import SessionError
 from measure.processes import Progress
-from measure.session import (
-    Stream,
-    check_overlap,
-    damaged_frames,
-    holds_jpeg,
-    open_streams,
-    pair_nearest,
-    seldom_paired,
-)
 
 
 def check_files(
     path: Path, lacking: Sequence[str], progress: Progress
-) -> tuple[str, int, tuple[Finding, ...]]:
+) -> tuple[str, int, tuple[checking.Finding, ...]]:
     """What shows without what is lacking: its name, the number of frame sets, and the findings."""
-    with open_streams(path) as streams:
+    with session.open_streams(path) as streams:
         total, done = max(map(len, streams.values())), count(1)
         notes = [note for stream in streams.values() for note in stream.notes]
         findings = file_findings(streams, notes, lambda: progress(next(done), total))
         if (apart := clocks_apart(streams)) is not None:
-            findings.append(Finding(Level.WRONG, "clock", str(apart)))
+            findings.append(checking.Finding(checking.Level.WRONG, "clock", str(apart)))
         for name, one in streams.items():
             again = one.repeated()
             if again is not None:
-                findings += duplicate_findings(name, again, len(one) - 1, one.times_s, one.frames)
+                findings += checking.duplicate_findings(
+                    name, again, len(one) - 1, one.times_s, one.frames
+                )
         text = (
             "balls, clocks, places of cameras and accuracy were not checked: that needs "
             f"{' and '.join(f'--{name} FILE' for name in lacking)}"
         )
-        findings.append(Finding(Level.NOTE, "body", text))
-        pairs = len(pair_nearest([stream.times_s for stream in streams.values()]).times_s)
-        return path.resolve().name, pairs, worst_first(findings)
+        findings.append(checking.Finding(checking.Level.NOTE, "body", text))
+        pairs = len(session.pair_nearest([stream.times_s for stream in streams.values()]).times_s)
+        return path.resolve().name, pairs, checking.worst_first(findings)
 
 
 def file_findings(
-    streams: Mapping[str, Stream], notes: Sequence[str], step: Callable[[], None]
-) -> list[Finding]:
+    streams: Mapping[str, session.Stream], notes: Sequence[str], step: Callable[[], None]
+) -> list[checking.Finding]:
     """Damaged pictures, what was noted on opening, clocks that do not pair, and stamps."""
     findings = []
-    jpeg = [stream for stream in streams.values() if holds_jpeg(stream)]
-    for name, frames in damaged_frames(jpeg, step).items():
-        findings += damage_findings(name, frames, len(streams[name]))
-    findings += [Finding(Level.NOTE, "frames", note) for note in notes]
-    pairing = pair_nearest([stream.times_s for stream in streams.values()])
-    texts = seldom_paired(list(streams), [len(one) for one in streams.values()], pairing)
-    findings += [Finding(Level.WRONG, "clock", text) for text in texts]
+    jpeg = [stream for stream in streams.values() if session.holds_jpeg(stream)]
+    for name, frames in session.damaged_frames(jpeg, step).items():
+        findings += checking.damage_findings(name, frames, len(streams[name]))
+    findings += [checking.Finding(checking.Level.NOTE, "frames", note) for note in notes]
+    pairing = session.pair_nearest([stream.times_s for stream in streams.values()])
+    texts = session.seldom_paired(list(streams), [len(one) for one in streams.values()], pairing)
+    findings += [checking.Finding(checking.Level.WRONG, "clock", text) for text in texts]
     for stream in streams.values():
-        findings += stamp_findings(stream.name, stream.times_s, stream.frames)
+        findings += checking.stamp_findings(stream.name, stream.times_s, stream.frames)
     return findings
 
 
-def clocks_apart(streams: Mapping[str, Stream]) -> SessionError | None:
+def clocks_apart(streams: Mapping[str, session.Stream]) -> SessionError | None:
     """What contradicts that all stamps are of one clock, if anything does."""
     try:
-        check_overlap(list(streams.values()))
+        session.check_overlap(list(streams.values()))
     except SessionError as error:
         return error
     return None

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from measure import model
 from measure.api.outputs import check_apart, check_file, output
 from measure.api.profiles import build_detectors
 from measure.arrays import Bytes, Floats
@@ -18,16 +19,6 @@ from measure.estimation.lateral_color import with_lateral_color
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Profile, plugin_calls
-from measure.model import (
-    BallColor,
-    Body,
-    Camera,
-    Detection,
-    Expectation,
-    FrameSet,
-    Image,
-    Intrinsics,
-)
 from measure.processes import Progress, quiet
 from measure.session import read_calibration, read_picture, write_body
 
@@ -57,7 +48,7 @@ class SeenPicture:
     """The balls seen in one picture, the best first."""
 
     picture: Path
-    detections: tuple[Detection, ...]
+    detections: tuple[model.Detection, ...]
 
 
 def parse_expectation(text: str) -> tuple[str, tuple[float, float, float]]:
@@ -86,8 +77,8 @@ def detect(
     pictures: Sequence[Path],
     registry: Registry,
     profile: Profile,
-    body: Body,
-    lens: Lens | Camera | None = None,
+    body: model.Body,
+    lens: Lens | model.Camera | None = None,
     expected: Iterable[tuple[str, tuple[float, float, float]]] = (),
     progress: Progress = quiet,
 ) -> tuple[SeenPicture, ...]:
@@ -109,8 +100,8 @@ def detect(
     for index, path in enumerate(pictures):
         pixels = read_picture(path)
         camera = cameras.of(pixels.shape[1], pixels.shape[0], path)
-        image = Image(camera.name, index, 0.0, partial(np.asarray, pixels))
-        (camera,) = with_lateral_color([camera], [FrameSet(index, 0.0, {camera.name: image})])
+        image = model.Image(camera.name, index, 0.0, partial(np.asarray, pixels))
+        (camera,) = with_lateral_color([camera], [model.FrameSet(index, 0.0, {camera.name: image})])
         where = [_expectation(ball, at, body, camera) for ball, at in asked.items()]
         (detector,) = build_detectors(profile, registry, body, [camera]).values()
         found = plugin_calls.detections(detector, image, where, body)
@@ -123,10 +114,10 @@ def detect(
 class LensOf:
     """The camera of a picture: calibrated, or a plain one of the picture's size."""
 
-    def __init__(self, given: Lens | Camera) -> None:
+    def __init__(self, given: Lens | model.Camera) -> None:
         lens = given if isinstance(given, Lens) else Lens()
         self._focal_px, self._calibration = lens.focal_px, lens.calibration
-        self._calibrated = given if isinstance(given, Camera) else None
+        self._calibrated = given if isinstance(given, model.Camera) else None
         if lens.calibration is not None:
             if lens.focal_px is not None:
                 raise ConfigError("--focal-px and --calibration both give a focal length: give one")
@@ -136,13 +127,13 @@ class LensOf:
         if lens.focal_px is not None and not 0 < lens.focal_px < np.inf:
             raise ConfigError(f"--focal-px {lens.focal_px}: expected a length in px above 0")
 
-    def of(self, width: int, height: int, picture: Path) -> Camera:
+    def of(self, width: int, height: int, picture: Path) -> model.Camera:
         """The camera that took a picture of this size; ConfigError if it is of another."""
         if self._calibrated is None:
             focal = self._focal_px or _USUAL_FOCAL * max(width, height)
             matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]
-            lens = Intrinsics((width, height), np.array(matrix), np.zeros(5))
-            return Camera("camera", lens, RigidTransform.identity())
+            lens = model.Intrinsics((width, height), np.array(matrix), np.zeros(5))
+            return model.Camera("camera", lens, RigidTransform.identity())
         size = self._calibrated.intrinsics.size_wh
         if size != (width, height):
             raise ConfigError(
@@ -152,8 +143,8 @@ class LensOf:
         return self._calibrated
 
 
-def _chosen(path: Path, name: str | None) -> Camera:
-    cameras: Mapping[str, Camera] = {c.name: c for c in read_calibration(path).cameras}
+def _chosen(path: Path, name: str | None) -> model.Camera:
+    cameras: Mapping[str, model.Camera] = {c.name: c for c in read_calibration(path).cameras}
     if name is None and len(cameras) == 1:
         (name,) = cameras
     if name is None or name not in cameras:
@@ -163,11 +154,11 @@ def _chosen(path: Path, name: str | None) -> Camera:
 
 
 def _expectation(
-    ball: str, at: tuple[float, float, float], body: Body, camera: Camera
-) -> Expectation:
+    ball: str, at: tuple[float, float, float], body: model.Body, camera: model.Camera
+) -> model.Expectation:
     u, v, radius_px = at
     center = np.array([u, v])
-    return Expectation(
+    return model.Expectation(
         ball,
         center,
         (radius_px / _SIZE_FACTOR, radius_px * _SIZE_FACTOR),
@@ -177,7 +168,9 @@ def _expectation(
     )
 
 
-def _place(center_px: Floats, radius_px: float, radius_mm: float, camera: Camera) -> Floats | None:
+def _place(
+    center_px: Floats, radius_px: float, radius_mm: float, camera: model.Camera
+) -> Floats | None:
     """The centre (3,) in mm of a sphere of this outline, by its mean radius; None off the lens."""
     bearing = camera.intrinsics.unproject(center_px[None])[0]
     if not np.isfinite(bearing).all():
@@ -226,7 +219,7 @@ def parse_click(text: str) -> tuple[str, tuple[float, float]]:
 
 def write_sampled_body(
     to: Path,
-    body: Body,
+    body: model.Body,
     seen: SeenPicture,
     clicks: Mapping[str, tuple[float, float]],
     outlined: Iterable[str],
@@ -262,7 +255,7 @@ def sampled_color(pixels: Bytes, ball: str, at: tuple[float, float]) -> Samples:
         raise ConfigError(f"--sample {ball}={u},{v}: lies outside the picture of {width}x{height}")
     rows = slice(max(v - _PATCH_PX, 0), v + _PATCH_PX + 1)
     patch = pixels[rows, max(u - _PATCH_PX, 0) : u + _PATCH_PX + 1].reshape(-1, 3)
-    mask = BallColor.from_samples(patch, _SIMILAR_HUE, _SIMILAR_LEVEL).mask(pixels)
+    mask = model.BallColor.from_samples(patch, _SIMILAR_HUE, _SIMILAR_LEVEL).mask(pixels)
     _, labels = cv2.connectedComponents(mask)
     found = pixels[(labels == labels[v, u]) & (mask > 0)]
     if len(found) < _FEWEST:

@@ -14,21 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from measure.api import recording
 from measure.api.folders import mark_event
 from measure.api.marks import check_marks, marks_received
 from measure.api.measuring import measure_frame_sets
 from measure.api.outputs import check_folder
 from measure.api.profiles import build_pipeline
-from measure.api.recording import (
-    SESSION,
-    CaptureOptions,
-    OpenRig,
-    calibrated_cameras,
-    check_apart,
-    new_recorder,
-    open_rig,
-    sources_of,
-)
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
 from measure.api.sending import Sending, SendOptions, open_sending, sent_pose
@@ -47,7 +38,7 @@ _RECENT = 30  # Frame sets over which the rate and the age of poses are taken
 
 
 @dataclass(frozen=True)
-class LiveOptions(CaptureOptions, LogOptions, SendOptions):
+class LiveOptions(recording.CaptureOptions, LogOptions, SendOptions):
     """How cameras are measured live."""
 
     record: Path | None = None  # a session folder to record the pictures into as well
@@ -115,7 +106,7 @@ def live(
     prepared = _prepare(cameras, out, calibration, bodies, profile, registry, options)
     sent = prepared.sent
     with ExitStack() as stack:
-        opened = stack.enter_context(open_rig(prepared.sources, sent.cameras, options))
+        opened = stack.enter_context(recording.open_rig(prepared.sources, sent.cameras, options))
         rig = opened.cameras
         gathering = Gathering(list(rig.addresses), on_read=rig.note_read)
         takers = [gathering.add, *_recorders(stack, opened, sent, options.record)]
@@ -145,11 +136,11 @@ def live(
 
 
 def _recorders(
-    stack: ExitStack, opened: OpenRig, sent: SentRun, folder: Path | None
+    stack: ExitStack, opened: recording.OpenRig, sent: SentRun, folder: Path | None
 ) -> Iterator[Callable[[Image], None]]:
     """What takes pictures to be recorded, if they are."""
     if folder is not None:
-        recorder = new_recorder(folder, opened, sent.bodies, sent.cameras, sent.reference)
+        recorder = recording.new_recorder(folder, opened, sent.bodies, sent.cameras, sent.reference)
         yield stack.enter_context(recorder).add
 
 
@@ -178,7 +169,7 @@ def _prepare(
     _check_outputs(out, options, [one.name for one in cameras])
     if len(cameras) < 2:
         raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
-    calibrated = calibrated_cameras(cameras, calibration)
+    calibrated = recording.calibrated_cameras(cameras, calibration)
     measured = [read_body(body) for body in bodies]
     check_bodies(measured, options.reference, "--body")
     cure = 'write mm, or into another program\'s file its unit, as in unit = "m"'
@@ -186,7 +177,7 @@ def _prepare(
     profile = profile.model_copy(update={"smoothing": False})
     sent = SentRun(out.resolve().name, tuple(measured), tuple(calibrated), options.reference)
     sending = open_sending(options, registry, sent)
-    sources = sources_of(cameras, calibrated, options.request)
+    sources = recording.sources_of(cameras, calibrated, options.request)
     options.check_viewer()
     return _Prepared(
         sent,
@@ -212,8 +203,8 @@ def _made_from(options: LiveOptions, *known: Any) -> Provenance:
 def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> None:
     """Refuse what must not be overwritten, before anything is slow."""
     if options.record is not None:
-        check_apart(options.record, out)
-        check_folder(options.record, options.overwrite, SESSION)
+        recording.check_apart(options.record, out)
+        check_folder(options.record, options.overwrite, recording.SESSION)
         check_names(names)
     check_run_folder(out, None, options.overwrite)
     check_marks(options.marks)

@@ -9,17 +9,8 @@ from typing import Literal
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
+from measure.calibration import patterns
 from measure.calibration.extrinsics import located_by_marks
-from measure.calibration.patterns import (
-    Cross,
-    Dot,
-    cross_candidates,
-    dot_candidates,
-    linear_light,
-    outline_shape,
-    refine_cross,
-    refine_dot,
-)
 from measure.calibration.rig_problem import MarkerObservation
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
@@ -53,9 +44,11 @@ def find_markers(
     nobody twice), the pose is refined from that, and so on with a shrinking reach. CalibrationError
     if too few fit the pose.
     """
-    light, plural = linear_light(bgr), _PLURALS[kind]
-    candidates: list[Dot] | list[Cross]
-    candidates = dot_candidates(light) if kind == "dot" else cross_candidates(light)
+    light, plural = patterns.linear_light(bgr), _PLURALS[kind]
+    candidates: list[patterns.Dot] | list[patterns.Cross]
+    candidates = (
+        patterns.dot_candidates(light) if kind == "dot" else patterns.cross_candidates(light)
+    )
     if len(candidates) < _MIN_MARKERS:
         raise CalibrationError(
             f"camera {camera.name}: {len(candidates)} {plural} in the marker picture, at least "
@@ -94,18 +87,20 @@ def _refined(
     light: Floats,
     camera: Camera,
     markers: MarkerField,
-    chosen: Mapping[str, Dot | Cross],
+    chosen: Mapping[str, patterns.Dot | patterns.Cross],
     kind: MarkerKind,
 ) -> FoundMarkers:
     fitted = {
-        name: refine_dot(light, rough, outline_shape(camera.intrinsics, rough.center_px))
-        if isinstance(rough, Dot)
-        else refine_cross(light, rough)
+        name: patterns.refine_dot(
+            light, rough, patterns.outline_shape(camera.intrinsics, rough.center_px)
+        )
+        if isinstance(rough, patterns.Dot)
+        else patterns.refine_cross(light, rough)
         for name, rough in chosen.items()
     }
     wrong = f"its picture is not that of a {_SINGULARS[kind]}"
     doubtful = {name: wrong for name, mark in fitted.items() if mark is None}
-    dots = {name: mark.radius_px for name, mark in fitted.items() if isinstance(mark, Dot)}
+    dots = {name: mark.radius_px for name, mark in fitted.items() if isinstance(mark, patterns.Dot)}
     doubtful |= _wrong_sizes(camera, markers, dots)
     marks = {n: mark.center_px for n, mark in fitted.items() if mark and n not in doubtful}
     visible = camera.intrinsics.contains(camera.project(markers.points), 5.0)

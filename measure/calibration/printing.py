@@ -11,6 +11,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from measure.arrays import Bytes
+from measure.calibration import targets
 from measure.calibration.boards import (
     BORDER_BITS,
     DICTIONARY,
@@ -19,13 +20,6 @@ from measure.calibration.boards import (
     Chessboard,
     aruco_dictionary,
     same_after,
-)
-from measure.calibration.targets import (
-    MarkerField,
-    MarkerFieldFile,
-    kind_of,
-    read_board_file,
-    read_markers,
 )
 from measure.errors import CalibrationError, ConfigError
 from measure.model import Body
@@ -185,13 +179,13 @@ _CROSS_MM = 6.0
 
 def target_sheet(path: Path) -> Sheet:
     """The sheet of a target file: a board, marker field or body; raises if it cannot be used."""
-    kind = "aprilgrid" if path.suffix.lower() in (".yaml", ".yml") else kind_of(path)
+    kind = "aprilgrid" if path.suffix.lower() in (".yaml", ".yml") else targets.kind_of(path)
     if kind in _SHEETS:
-        given = read_board_file(path)
+        given = targets.read_board_file(path)
         return _SHEETS[given.kind](given.board(), given.name)
     if kind == "markers":
-        field = load_toml(path, MarkerFieldFile, CalibrationError)
-        return marker_sheet(read_markers(path), field.name, field.dot_mm)
+        field = load_toml(path, targets.MarkerFieldFile, CalibrationError)
+        return marker_sheet(targets.read_markers(path), field.name, field.dot_mm)
     if kind == "body":
         return body_sheet(read_body(path))
     raise ConfigError(
@@ -278,7 +272,7 @@ def aprilgrid_sheet(board: AprilGrid, name: str) -> Sheet:
     return lay_out(shapes, size, (gap, gap), text)
 
 
-def marker_sheet(field: MarkerField, name: str, dot_mm: float) -> Sheet:
+def marker_sheet(field: targets.MarkerField, name: str, dot_mm: float) -> Sheet:
     """Where the posts stand, from above: a cross and a dot of true size at each place, x right."""
     low = field.points.min(axis=0) - 15
     high = field.points.max(axis=0) + 15

@@ -11,24 +11,12 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats
+from measure.calibration import extrinsics, rig_problem
 from measure.calibration.boards import Board, CornerRule
 from measure.calibration.capture import Capture, CaptureCamera
 from measure.calibration.common_views import fit_common_views
-from measure.calibration.extrinsics import (
-    DEFAULT_COMMON_PX,
-    RigFit,
-    fit_rig_by_paper,
-    fit_rig_with_boards,
-    held_within,
-)
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.markers import FoundMarkers
-from measure.calibration.rig_problem import (
-    BoardObservation,
-    MarkerObservation,
-    RigObservations,
-    Tolerances,
-)
 from measure.calibration.starts import (
     check_board_against_marks,
     check_located,
@@ -55,8 +43,8 @@ class RigCalibration:
     cameras: tuple[Camera, ...]
     method: Method
     lenses: dict[str, LensCalibration]  # by camera name, where the lens was calibrated here
-    fit: RigFit | None  # of all cameras, by `method`; None of common views
-    observations: RigObservations
+    fit: extrinsics.RigFit | None  # of all cameras, by `method`; None of common views
+    observations: rig_problem.RigObservations
     markers: MarkerField
     # at their rough poses, lenses as calibrated by themselves.
     cameras_before: tuple[Camera, ...] = ()
@@ -67,7 +55,7 @@ class RigCalibration:
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
-    def tolerances(self) -> Tolerances:
+    def tolerances(self) -> rig_problem.Tolerances:
         """As used; the board's estimated where the capture does not state it."""
         return self.observations.tolerances
 
@@ -129,7 +117,7 @@ def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibr
         "joint",
         lenses,
         None,
-        RigObservations(),
+        rig_problem.RigObservations(),
         capture.markers,
         cameras_before=cameras,
         around=around,
@@ -144,7 +132,7 @@ def _locate_all(
 ) -> RigCalibration:
     markers, seen = capture.markers, _boards_of(capture, lenses, known)
     starts: list[Camera] = []
-    marks: dict[str, MarkerObservation] = {}
+    marks: dict[str, rig_problem.MarkerObservation] = {}
     found: dict[str, FoundMarkers] = {}
     disagreement_mm: dict[str, float] = {}
     for camera in capture.cameras:
@@ -168,7 +156,7 @@ def _locate_all(
         method,
         lenses,
         None,
-        RigObservations(markers.points, seen, marks),
+        rig_problem.RigObservations(markers.points, seen, marks),
         markers,
         cameras_before=tuple(starts),
         found=found,
@@ -180,7 +168,7 @@ def _locate_all(
 
 def _boards_of(
     capture: Capture, lenses: dict[str, LensCalibration], known: dict[str, Intrinsics]
-) -> dict[str, BoardObservation]:
+) -> dict[str, rig_problem.BoardObservation]:
     """The boards of known pose, by camera, with the corner rule that suits the camera."""
     seen = {}
     for camera in capture.cameras:
@@ -196,20 +184,22 @@ def _fitted(rough: RigCalibration, capture: Capture) -> RigCalibration:
     """The rig by its method, from rough poses."""
     seen, settings = rough.observations, capture.settings
     stated = settings.board_tolerance_mm, settings.board_tolerance_deg
-    held = held_within(seen.boards, *stated)
-    tolerances = Tolerances(capture.markers.tolerance_mm, *held, DEFAULT_COMMON_PX)
+    held = extrinsics.held_within(seen.boards, *stated)
+    tolerances = rig_problem.Tolerances(
+        capture.markers.tolerance_mm, *held, extrinsics.DEFAULT_COMMON_PX
+    )
     rig = rough.cameras, replace(seen, tolerances=tolerances), settings.mark_sd_px
     if rough.method == "paper":
-        fit = fit_rig_by_paper(*rig)
+        fit = extrinsics.fit_rig_by_paper(*rig)
     else:
-        fit, tolerances = fit_rig_with_boards(*rig, stated != (None, None))
+        fit, tolerances = extrinsics.fit_rig_with_boards(*rig, stated != (None, None))
     observations = replace(seen, tolerances=tolerances)
     return replace(rough, cameras=fit.cameras, fit=fit, observations=observations)
 
 
 def _see_board(
     capture: Capture, camera: CaptureCamera, lens: Intrinsics, board: Board, rule: CornerRule
-) -> BoardObservation:
+) -> rig_problem.BoardObservation:
     assert camera.board_image is not None
     bgr = capture.still(camera, camera.board_image, lens)
     gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
@@ -222,4 +212,4 @@ def _see_board(
                 or "all of it must be in view, as board.toml says, sharp"
             )
         )
-    return BoardObservation(board, corners.localised(rule), camera.world_from_board)
+    return rig_problem.BoardObservation(board, corners.localised(rule), camera.world_from_board)

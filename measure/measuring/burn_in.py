@@ -17,12 +17,7 @@ import numpy as np
 from measure.errors import MeasureError
 from measure.estimation.lateral_color import with_lateral_color
 from measure.host import Detector, SelfCalibratingDetector
-from measure.measuring.ball_radii import (
-    OutlineGrowth,
-    outline_growth,
-    seen_balls,
-    with_estimated_radii,
-)
+from measure.measuring import ball_radii
 from measure.measuring.measurement import Measurement
 from measure.measuring.pipeline import Pipeline
 from measure.model import Body, Camera, FrameSet
@@ -76,13 +71,13 @@ def calibrated(
         burn_in(_with(fresh, fresh.stages.detectors), frame_sets())
         return fresh.stages.detectors
 
-    def growth(body: Body) -> OutlineGrowth:
+    def growth(body: Body) -> ball_radii.OutlineGrowth:
         known[body] = detectors_for(body)
         again = islice(frame_sets(), _FRAME_SETS_FOR_RADII)
         measured = _measured(_with(build(body, cameras), known[body]), again)
-        return outline_growth(seen_balls(measured), body, cameras)
+        return ball_radii.outline_growth(ball_radii.seen_balls(measured), body, cameras)
 
-    body = with_estimated_radii(given, growth)
+    body = ball_radii.with_estimated_radii(given, growth)
     same = np.array_equal(body.radii, given.radii)
     detectors = known[given] if same else detectors_for(body)
     return _with(build(body, cameras), detectors, pipeline.stages.smoothing)

@@ -13,16 +13,9 @@ from measure.errors import DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, align_points
 from measure.metrology.noise import Noise
 from measure.model import Camera
+from measure.results import single_errors
 from measure.results.pose_table import noise_about
 from measure.results.run import Run
-from measure.results.single_errors import (
-    Marks,
-    SingleErrors,
-    detection_errors_by_marks,
-    detection_errors_by_truth,
-    localisation_errors_by_truth,
-    passed_over,
-)
 from measure.results.statistics import (
     AXES,
     Consistency,
@@ -71,9 +64,9 @@ class RunEvaluation:
     pose_consistency: Consistency | None  # of the whole poses with their 6x6 covariances
     ball_consistency: Consistency | None  # of the single balls
     aligned: Aligned | None  # errors relative to the best rigid motion of the world
-    detection: SingleErrors | None  # errors of detection alone
+    detection: single_errors.SingleErrors | None  # errors of detection alone
     # errors of camera localisation alone; None if the true cameras are not given.
-    localisation: SingleErrors | None
+    localisation: single_errors.SingleErrors | None
     # how the truth's clock was found, where that was asked for.
     truth_offset: TruthOffset | None = None
     notes: tuple[str, ...] = ()  # what to doubt about this comparison
@@ -84,7 +77,7 @@ def evaluate(
     run: Run,
     truth: Trajectory,
     true_cameras: Sequence[Camera] | None = None,
-    marks: Marks | None = None,
+    marks: single_errors.Marks | None = None,
     find_offset: bool = False,
 ) -> RunEvaluation:
     """Compare a run with the truth; each pose at its own time, the truth interpolated.
@@ -121,10 +114,12 @@ def evaluate(
         pose_consistency=consistency(errors, covariances),
         ball_consistency=consistency(ball_errors, ball_covariances),
         aligned=_aligned(run, measured, true),
-        detection=detection_errors_by_marks(run, marks)
+        detection=single_errors.detection_errors_by_marks(run, marks)
         if marks is not None
-        else detection_errors_by_truth(run, truth, cameras or run.cameras),
-        localisation=localisation_errors_by_truth(run, truth, cameras) if cameras else None,
+        else single_errors.detection_errors_by_truth(run, truth, cameras or run.cameras),
+        localisation=single_errors.localisation_errors_by_truth(run, truth, cameras)
+        if cameras
+        else None,
         truth_offset=offset,
         notes=(
             *(() if offset is None else (offset.note(),)),
@@ -232,7 +227,7 @@ def _checked_cameras(run: Run, cameras: Sequence[Camera] | None) -> Sequence[Cam
 
 
 def _notes(
-    run: Run, errors: Floats, missing: int, marks: Marks | None, cameras_unknown: bool
+    run: Run, errors: Floats, missing: int, marks: single_errors.Marks | None, cameras_unknown: bool
 ) -> tuple[str, ...]:
     """What to doubt, where the poses compared have these errors (n, 6)."""
     far_mm, far_rad = (
@@ -249,7 +244,7 @@ def _notes(
             f"half of the poses are more than {far_mm:.0f} mm off: is this the truth of this "
             "session?"
         )
-    if marks is not None and (over := passed_over(run, marks)):
+    if marks is not None and (over := single_errors.passed_over(run, marks)):
         notes.append(
             f"{over} of {len(marks)} marks are of frames that the run has not: passed over"
         )

@@ -20,18 +20,9 @@ from measure.errors import ConfigError
 from measure.measuring import Measurement, Status
 from measure.model import Body, Camera, FrameSet, Image
 from measure.session import Session, Stream, Trajectory
-from measure.viewing import entities
+from measure.viewing import entities, scene
 from measure.viewing.blueprint import framed, run_blueprint
 from measure.viewing.entities import FrameSetBatch, set_time
-from measure.viewing.scene import (
-    log_rig,
-    picture_of,
-    send_balls,
-    send_errors,
-    send_poses,
-    send_traces,
-    send_views,
-)
 
 _CODECS = {"h264", "hevc", "av1", "vp9"}
 """What the viewer shows in an mp4. Of other videos the frames go in as pictures."""
@@ -115,7 +106,7 @@ class RunRecording:
         self._sets: list[Sequence[Measurement]] = []
         self._first = dict[str, Rotation]()
         self._pictured: list[bool] = []
-        log_rig(stream, bodies, cameras)
+        scene.log_rig(stream, bodies, cameras)
         for name, video in self._videos.items():
             stream.log(entities.image(name), video.asset, static=True)
 
@@ -160,12 +151,12 @@ class RunRecording:
             sets = [one[number] for one in self._sets]
             times_s = [one.time_s for one in sets]
             columns = FrameSetBatch(self._stream, [one.index for one in sets], times_s, end)
-            send_balls(columns, sets, body, cameras)
-            send_poses(columns, sets, self._first)
-            send_views(columns, sets, pictured, body, cameras)
-            send_traces(columns, sets, cameras)
+            scene.send_balls(columns, sets, body, cameras)
+            scene.send_poses(columns, sets, self._first)
+            scene.send_views(columns, sets, pictured, body, cameras)
+            scene.send_traces(columns, sets, cameras)
             if body.name in self._truths:
-                send_errors(columns, sets, self._truths[body.name])
+                scene.send_errors(columns, sets, self._truths[body.name])
         self._sets, self._pictured = [], []
         self._sent_at = time.monotonic()
 
@@ -185,7 +176,7 @@ class RunRecording:
     def _log_images(self, measured: Measurement, frame_set: FrameSet) -> None:
         self._set_time(measured)
         for name, image in frame_set.images.items():
-            shown = picture_of(image)
+            shown = scene.picture_of(image)
             if name in self._videos:
                 time_ns = self._videos[name].times_ns[image.frame]
                 shown = rr.VideoFrameReference(nanoseconds=time_ns)
@@ -213,7 +204,7 @@ class Preview:
         if image.time_s >= self._due_s[image.camera]:
             self._due_s[image.camera] = image.time_s + LIVE_PERIOD_S
             set_time(self._stream, image.time_s)
-            self._stream.log(entities.image(image.camera), picture_of(image))
+            self._stream.log(entities.image(image.camera), scene.picture_of(image))
 
 
 CONNECT_WITHIN_S = 5.0  # How long a viewer that was just started may take to listen

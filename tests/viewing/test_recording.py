@@ -163,7 +163,9 @@ def test_somebody_who_watches_sees_each_frame_set_soon(tmp_path, monkeypatch):
     """Sent at once, not when a batch is full; without a watcher, all in one."""
     sent = []
     monkeypatch.setattr(recording, "LIVE_PERIOD_S", 0.0)
-    monkeypatch.setattr(recording, "send_views", lambda _, sets, *rest: sent.append(len(sets)))
+    monkeypatch.setattr(
+        recording.scene, "send_views", lambda _, sets, *rest: sent.append(len(sets))
+    )
     for live in (True, False):
         log = open_recording("test", CAMERAS, tmp_path / f"{live}.rrd")
         with RunRecording(log, [BODY], CAMERAS, 0, live=live) as run:

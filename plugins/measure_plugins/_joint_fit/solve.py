@@ -14,22 +14,7 @@ from measure.arrays import Floats
 from measure.compiling import compiled, folded
 from measure.geometry.linear_kernels import invert_scaled
 from measure.geometry.rotation_kernels import apply_matrix, rotation_of, rotvec_of
-from measure_plugins._joint_fit.elimination import (
-    EFFECTS,
-    SHARED,
-    EffectVariance,
-    ReducedEquations,
-    ViewShifts,
-    back_substitute,
-    eliminate,
-    eliminate_view_shifts,
-    empty_equations,
-    fill_effect_variances,
-    initial_effect_variance,
-    subtract_view_shifts,
-    update_effect_variance,
-    update_view_shifts,
-)
+from measure_plugins._joint_fit import elimination
 from measure_plugins._joint_fit.problem import PackedOutlines
 from measure_plugins._joint_fit.residuals import COLUMNS, accumulate_moments
 
@@ -81,19 +66,21 @@ class _FitState(NamedTuple):
     """The state of a fit at fixed moments; filled in place."""
 
     moments: Floats  # (k, 10, 10) see `residuals.accumulate_moments`
-    equations: ReducedEquations  # the same, the random effects eliminated
+    equations: elimination.ReducedEquations  # the same, the random effects eliminated
     prior_normal: Floats  # (6 + c, 6 + c) information that does not come from the points
     prior_right: Floats  # (6 + c,) its right side
     covariance: Floats  # (6 + c, 6 + c) of pose and edge offsets
     step: Floats  # (6 + c,) from where the moments were formed
     effects: Floats  # (k, 3) the random effects
     variances: Floats  # (k, 3) of those, as taken for `equations`
-    effect_variance: EffectVariance  # the estimate that `variances` are made of
-    view_shifts: ViewShifts
+    effect_variance: elimination.EffectVariance  # the estimate that `variances` are made of
+    view_shifts: elimination.ViewShifts
 
 
 @folded
-def fit_outlines(outlines: PackedOutlines, start: Start, view_shifts: ViewShifts) -> OutlineFit:
+def fit_outlines(
+    outlines: PackedOutlines, start: Start, view_shifts: elimination.ViewShifts
+) -> OutlineFit:
     """Fit the pose: Gauss-Newton with Tukey weights on points and random effects of ball-views.
 
     Every iteration forms the moments of the points about the pose, and then alternates, at fixed
@@ -143,7 +130,7 @@ def _fitted(
     steps = by_ball(outlines, state.equations, state.covariance)
     reactions = by_effect(outlines, state.equations, state.variances, state.covariance)
     covariance = state.covariance[:6, :6].copy()
-    subtract_view_shifts(outlines.view_of, state.view_shifts, reactions, covariance)
+    elimination.subtract_view_shifts(outlines.view_of, state.view_shifts, reactions, covariance)
     return OutlineFit(
         rotation,
         translation,
@@ -160,7 +147,9 @@ def _fitted(
 
 
 @compiled
-def _initial_state(k: int, prior_information: Floats, view_shifts: ViewShifts) -> _FitState:
+def _initial_state(
+    k: int, prior_information: Floats, view_shifts: elimination.ViewShifts
+) -> _FitState:
     """Of k ball-views."""
     c = len(view_shifts.variance)
     prior_normal = np.zeros((6 + c, 6 + c))
@@ -169,14 +158,14 @@ def _initial_state(k: int, prior_information: Floats, view_shifts: ViewShifts) -
         prior_normal[6 + view, 6 + view] = 1 / _OFFSET_SD_PX**2
     return _FitState(
         np.empty((k, COLUMNS, COLUMNS)),
-        empty_equations(k),
+        elimination.empty_equations(k),
         prior_normal,
         np.zeros(6 + c),
         np.zeros((6 + c, 6 + c)),
         np.full(6 + c, np.inf),
-        np.zeros((k, EFFECTS)),
-        np.zeros((k, EFFECTS)),
-        initial_effect_variance(k),
+        np.zeros((k, elimination.EFFECTS)),
+        np.zeros((k, elimination.EFFECTS)),
+        elimination.initial_effect_variance(k),
         view_shifts,
     )
 
@@ -205,9 +194,11 @@ def _solve_inner(outlines: PackedOutlines, state: _FitState) -> tuple[bool, floa
     normal, right = np.empty_like(state.prior_normal), np.empty_like(state.prior_right)
     square = np.inf
     for _ in range(_MAX_INNER_ITERATIONS):
-        fill_effect_variances(outlines, state.effect_variance, state.variances)
-        eliminate(state.moments, state.variances, state.equations)
-        eliminate_view_shifts(outlines.view_of, state.variances, state.equations, state.view_shifts)
+        elimination.fill_effect_variances(outlines, state.effect_variance, state.variances)
+        elimination.eliminate(state.moments, state.variances, state.equations)
+        elimination.eliminate_view_shifts(
+            outlines.view_of, state.variances, state.equations, state.view_shifts
+        )
         _assemble(outlines, state, normal, right)
         if not invert_scaled(normal, state.covariance) < _MAX_VARIANCE_INFLATION:
             return False, np.inf
@@ -217,10 +208,10 @@ def _solve_inner(outlines: PackedOutlines, state: _FitState) -> tuple[bool, floa
             for j in range(len(right)):
                 state.step[i] += state.covariance[i, j] * right[j]
             square += state.step[i] * right[i]
-        back_substitute(outlines.view_of, state.equations, state.step, state.effects)
-        update_view_shifts(state.step, state.view_shifts)
+        elimination.back_substitute(outlines.view_of, state.equations, state.step, state.effects)
+        elimination.update_view_shifts(state.step, state.view_shifts)
         before = state.effect_variance.variance[0]
-        update_effect_variance(
+        elimination.update_effect_variance(
             outlines,
             state.equations,
             state.covariance,
@@ -252,7 +243,9 @@ def _assemble(outlines: PackedOutlines, state: _FitState, normal: Floats, right:
 
 
 @compiled
-def by_ball(outlines: PackedOutlines, equations: ReducedEquations, inverse: Floats) -> Floats:
+def by_ball(
+    outlines: PackedOutlines, equations: elimination.ReducedEquations, inverse: Floats
+) -> Floats:
     """Derivatives (k, 6, 3) of the pose by where single ball-views show their balls, world, per mm.
 
     A step of the ball changes the residuals of its ball-view as the same step of the body does.
@@ -305,18 +298,21 @@ def by_camera(
 
 @compiled
 def by_effect(
-    outlines: PackedOutlines, equations: ReducedEquations, variances: Floats, inverse: Floats
+    outlines: PackedOutlines,
+    equations: elimination.ReducedEquations,
+    variances: Floats,
+    inverse: Floats,
 ) -> Floats:
     """Derivatives (k, 6, 3) of the pose by shifts (x, y, radius) of single outlines, per px.
 
     A shift s leaves, the ball-view's random effects eliminated, the right side B^T (s / variance)
     with B = `back_substitution`.
     """
-    out = np.empty((len(outlines.view_of), 6, EFFECTS))
-    right = np.empty((SHARED, EFFECTS))
+    out = np.empty((len(outlines.view_of), 6, elimination.EFFECTS))
+    right = np.empty((elimination.SHARED, elimination.EFFECTS))
     for k in range(len(out)):
-        for a in range(SHARED):
-            for j in range(EFFECTS):
+        for a in range(elimination.SHARED):
+            for j in range(elimination.EFFECTS):
                 right[a, j] = equations.back_substitution[k, j, a] / variances[k, j]
         _fill_solution(inverse, 6 + outlines.view_of[k], right, out[k])
     return out

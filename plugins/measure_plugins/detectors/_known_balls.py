@@ -19,13 +19,7 @@ from measure.host import Settings, setting
 from measure.model import Body, Camera, Detection, Expectation, Image
 from measure.model.lens import bearing
 from measure_plugins._outline.appearance.model import Appearance
-from measure_plugins._outline.fitting.batch import (
-    Expected,
-    Measured,
-    cones_of,
-    measure_balls,
-    measure_step_gains,
-)
+from measure_plugins._outline.fitting import batch
 from measure_plugins._outline.fitting.scan import CameraImage
 
 FEWER_RAYS, MIN_RAYS = 2, 16
@@ -116,7 +110,7 @@ class KnownBalls:
             else e.center_camera
             for e in expected
         ]
-        return cones_of(stacked(centers), self._of(expected).radii, self._lens)
+        return batch.cones_of(stacked(centers), self._of(expected).radii, self._lens)
 
     def measured(
         self,
@@ -124,7 +118,7 @@ class KnownBalls:
         expected: Sequence[Expectation],
         cones: Floats,
         appearance: Appearance,
-    ) -> Measured:
+    ) -> batch.Measured:
         """With corrected edges where the distance, and so the size, is known; else without.
 
         Args:
@@ -134,7 +128,7 @@ class KnownBalls:
         c, balls = self._config, self._packed(expected, cones, appearance)
         rays = c.rays if balls.sized.any() else max(c.rays // FEWER_RAYS, MIN_RAYS)
         give_up_share = GIVE_UP_SHARE * c.min_agreement
-        return measure_balls(
+        return batch.measure_balls(
             view, balls, rays, c.min_contrast, c.margin_px, give_up_share, self._colors
         )
 
@@ -147,7 +141,7 @@ class KnownBalls:
     ) -> Floats:
         """Step gains (k, 2, 2) of balls whose outlines `cones` (k, 6) have converged."""
         c, balls = self._config, self._packed(expected, cones, appearance)
-        return measure_step_gains(view, balls, c.rays, c.min_contrast, c.margin_px)
+        return batch.measure_step_gains(view, balls, c.rays, c.min_contrast, c.margin_px)
 
     @property
     def knows_step_gains(self) -> bool:
@@ -170,10 +164,10 @@ class KnownBalls:
 
     def _packed(
         self, expected: Sequence[Expectation], cones: Floats, appearance: Appearance
-    ) -> Expected:
+    ) -> batch.Expected:
         known = self._of(expected)
         tables = appearance.stacked_tables([(px, angle) for *_, angle, _, px in cones.tolist()])
-        return Expected(
+        return batch.Expected(
             cones,
             np.array([e.reach_px for e in expected]),
             tables,

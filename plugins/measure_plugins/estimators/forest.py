@@ -6,30 +6,19 @@ from typing import Any
 
 import numpy as np
 
+from measure import host
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import align_points
-from measure.host import (
-    Core,
-    Dataset,
-    Estimator,
-    Graph,
-    Report,
-    Settings,
-    Value,
-    hookimpl,
-    needed,
-    setting,
-)
 from measure_plugins.estimators._inputs import WithinTrajectoryEstimator, informative_features
 
 
-class ForestSettings(Settings):
+class ForestSettings(host.Settings):
     """Settings of `forest`."""
 
-    trees: int = setting(60, "Number of trees.", ge=1)
-    leaf_rows: int = setting(8, "Least number of rows in a leaf.", ge=1)
-    depth: int = setting(14, "Largest depth of a tree, in levels.", ge=1)
+    trees: int = host.setting(60, "Number of trees.", ge=1)
+    leaf_rows: int = host.setting(8, "Least number of rows in a leaf.", ge=1)
+    depth: int = host.setting(14, "Largest depth of a tree, in levels.", ge=1)
 
 
 class ForestEstimator(WithinTrajectoryEstimator):
@@ -40,9 +29,11 @@ class ForestEstimator(WithinTrajectoryEstimator):
     config: ForestSettings
     memoryless = True
 
-    def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
+    def learn(
+        self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
+    ) -> None:
         """Align reported with measured positions, then grow trees on the residuals."""
-        ensemble = needed("sklearn.ensemble", "train", "'forest'", EstimatorError)
+        ensemble = host.needed("sklearn.ensemble", "train", "'forest'", EstimatorError)
         used = data.usable
         reported = data.reported_mm[used]
         measured = reported + data.errors_mm[used]
@@ -65,7 +56,9 @@ class ForestEstimator(WithinTrajectoryEstimator):
         self._trees = _flatten(grower)
         report(1.0, "grown")
 
-    def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
+    def compute(
+        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
+    ) -> host.Core:
         """(rotation - 1) position + translation + forest."""
         position = graph.op("MatMul", features, self._schema_read)
         rigid = graph.affine(position, self._turn.T, self._shift)
@@ -78,7 +71,7 @@ class ForestEstimator(WithinTrajectoryEstimator):
             post_transform="NONE",
             **self._trees,
         )
-        return Core(graph.op("Add", rigid, rest))
+        return host.Core(graph.op("Add", rigid, rest))
 
 
 def _flatten(forest: Any) -> dict[str, Any]:
@@ -114,7 +107,7 @@ def _below(thresholds: Floats) -> Floats:
     return np.where(too_high, down, rounded).astype(np.float64)
 
 
-@hookimpl
-def measure_estimators() -> list[type[Estimator]]:
+@host.hookimpl
+def measure_estimators() -> list[type[host.Estimator]]:
     """Register the estimator."""
     return [ForestEstimator]

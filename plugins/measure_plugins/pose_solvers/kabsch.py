@@ -12,15 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from measure import estimation
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.estimation import (
-    PointObservations,
-    calibration_noise,
-    fit_point,
-    layout_flags,
-    point_sensitivity,
-)
 from measure.geometry import (
     RigidTransform,
     align_points,
@@ -58,7 +52,7 @@ class _PlacedBall:
 
     point: Floats
     covariance: Floats
-    observations: PointObservations | None
+    observations: estimation.PointObservations | None
 
 
 class KabschSolver(PoseSolver):
@@ -98,7 +92,7 @@ class KabschSolver(PoseSolver):
             rms_px=_rms_px(at, world_from_body.apply(points_body)),
             cameras=tuple(sorted({name for position in positions for name in position.cameras})),
             balls=tuple(position.ball for position in positions),
-            flags=layout_flags(
+            flags=estimation.layout_flags(
                 self.body,
                 [f.ball for f in positions],
                 centers,
@@ -124,11 +118,11 @@ class KabschSolver(PoseSolver):
             center = self.body.centers[self.body.index(position.ball)]
             shifts = np.stack([prior.at(d.time_s).apply(center) for d in used])
             shifts -= prior.at(time_s).apply(center)
-        views = PointObservations.of(used, cameras, shifts)
+        views = estimation.PointObservations.of(used, cameras, shifts)
         if not np.any(views.shifts):
             return _PlacedBall(position.center, position.covariance, views)
         try:
-            fit = fit_point(views)
+            fit = estimation.fit_point(views)
         except DegenerateGeometryError:
             return _PlacedBall(position.center, position.covariance, None)
         # What the triangulator found doubtful stays doubtful.
@@ -197,9 +191,11 @@ def _parts(placed: _PlacedBall) -> tuple[Floats, list[tuple[str, Floats, Floats]
     o = placed.observations
     if o is None or not o.rig.uncertain:
         return placed.covariance, []
-    by_pixel, by_camera = point_sensitivity(o, placed.point)
+    by_pixel, by_camera = estimation.point_sensitivity(o, placed.point)
     own = propagate(by_pixel, o.noise).sum(axis=0)
-    shared = propagate(by_pixel, calibration_noise(o.rig, placed.point + o.shifts)).sum(axis=0)
+    shared = propagate(by_pixel, estimation.calibration_noise(o.rig, placed.point + o.shifts)).sum(
+        axis=0
+    )
     ratio = max(1.0, float(np.trace(placed.covariance) / np.trace(own + shared)))
     cameras = zip(o.rig.names, o.rig.rows.covariances, by_camera, strict=True)
     return own * ratio, [camera for camera in cameras if np.any(camera[1])]

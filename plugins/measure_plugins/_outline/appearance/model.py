@@ -13,17 +13,11 @@ import numpy as np
 
 from measure.arrays import Floats, Singles
 from measure.errors import ConfigError
+from measure_plugins._outline.appearance import radial_basis
 from measure_plugins._outline.appearance.point_lights import no_point_lights
-from measure_plugins._outline.appearance.radial_basis import (
-    BLUR_PX,
-    REFRACTIVE_INDEX,
-    RadialTables,
-    radial_tables,
-    stacked_tables,
-)
 from measure_plugins._outline.appearance.sensor import encoding
 
-GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
+GLOSSY, MATT = radial_basis.REFRACTIVE_INDEX, 1.0001
 """Refractive index of lacquer and clear plastic; and of paint without a boundary that reflects."""
 BENDS = 3
 DEFAULT_CORRECTION_WEIGHT = 0.9
@@ -57,18 +51,20 @@ class Appearance:
         """How the camera turns light into picture values, see `sensor.encoding`."""
         return encoding(self.table)
 
-    def tables(self, radius_px: float, half_angle: float) -> RadialTables:
+    def tables(self, radius_px: float, half_angle: float) -> radial_basis.RadialTables:
         """Profiles of a ball of this size along a ray across its outline."""
-        return radial_tables(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
+        return radial_basis.radial_tables(
+            radius_px, half_angle, self.blur_px, self.index, self.mirrors
+        )
 
-    def stacked_tables(self, outlines: Sequence[tuple[float, float]]) -> RadialTables:
+    def stacked_tables(self, outlines: Sequence[tuple[float, float]]) -> radial_basis.RadialTables:
         """The same of k outlines (radius in px, half angle in rad), stacked."""
-        return stacked_tables(outlines, self.blur_px, self.index, self.mirrors)
+        return radial_basis.stacked_tables(outlines, self.blur_px, self.index, self.mirrors)
 
 
 def first_appearance(tone: str) -> Appearance:
     """Assumed before the first estimate: the stated curve, a webcam's blur, glossy balls."""
-    return Appearance(tone, np.zeros(BENDS), BLUR_PX, GLOSSY)
+    return Appearance(tone, np.zeros(BENDS), radial_basis.BLUR_PX, GLOSSY)
 
 
 def bent_table(tone: str, bends: Floats) -> Floats:
