@@ -305,7 +305,10 @@ class _Looking:
 
     def _begin(self) -> None:
         self._total = len(self.session.pair().times_s)
-        self._chosen = _spread_pairs(self._total, self.samples)
+        # About `samples` of `total` indices, in pairs of neighbours, which tell speeds.
+        firsts = np.linspace(0, max(self._total - 2, 0), max(1, self.samples // 2))
+        pairs = {round(float(first)) + k for first in firsts for k in (0, 1)}
+        self._chosen = sorted(index for index in pairs if index < self._total)
         jpeg = [len(stream) for stream in self.session.streams.values() if holds_jpeg(stream)]
         measured = min(self.clock_samples, self._total)
         self._steps = len(self._chosen) + measured + max(jpeg, default=0)
@@ -336,10 +339,3 @@ class _Looking:
                 compared = len(passed.compared.get(name, ()))
             out += duplicate_findings(name, positions, compared, stream.times_s, stream.frames)
         return out
-
-
-def _spread_pairs(total: int, samples: int) -> list[int]:
-    """About `samples` of `total` indices, in pairs of neighbours, which tell speeds."""
-    firsts = np.linspace(0, max(total - 2, 0), max(1, samples // 2))
-    pairs = {round(float(first)) + k for first in firsts for k in (0, 1)}
-    return sorted(index for index in pairs if index < total)

@@ -87,7 +87,12 @@ def pivot(run: Path | str, spin: Path | str | None = None, body: str | None = No
         spun = read_run(Path(spin), body)
         with told_of(spin):
             axis = find_spin_axis(poses_of(spun), shared_errors(spun), found.tip_mm)
-        turn = _turn_to_z(axis)
+        # The rotation (3, 3) that brings the axis to z and leaves x as near as it can
+        z = axis.direction
+        x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
+        x = x - (x @ z) * z
+        x /= np.linalg.norm(x)
+        turn = np.stack([x, np.cross(z, x), z])
     centers = (opened.body.centers - found.tip_mm) @ turn.T
     return TipResult(found, axis, opened.body.with_centers(centers))
 
@@ -99,15 +104,6 @@ def told_of(run: Path | str) -> Iterator[None]:
         yield
     except DegenerateGeometryError as problem:
         raise RunError(f"{run}: {problem}") from None
-
-
-def _turn_to_z(axis: SpinAxis) -> Floats:
-    """The rotation (3, 3) that brings the axis to z and leaves x as near as it can."""
-    z = axis.direction
-    x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
-    x = x - (x @ z) * z
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])
 
 
 _SAME_MM = 1e-3  # Cameras further apart than this are not those of the same calibration

@@ -90,7 +90,9 @@ def refine(
         clocks = clock_values(opened.clock_digest, _shifts(rig, opened.clock_shifts_s))
     notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
     values = _provenance(str(session), rig) | clocks | {"notes": list(notes)}
-    refined = _with_centers(sized, rig.refinement.centers)
+    # The body to write: what is known of its radii becomes their tolerance
+    sd_mm = float(np.sqrt(np.mean(np.diag(sized.radius_covariance))))
+    refined = replace(sized.with_centers(rig.refinement.centers), radius_tolerance_mm=sd_mm)
     return RefineResult(Calibration(rig.refinement.cameras, values), rig, refined, notes)
 
 
@@ -118,12 +120,6 @@ def measure_all(
         measured.append(measurement)
         progress(len(measured), None)
     return measured, pipeline.body
-
-
-def _with_centers(sized: Body, centers: Floats) -> Body:
-    """The body to write: what is known of its radii becomes their tolerance."""
-    sd_mm = float(np.sqrt(np.mean(np.diag(sized.radius_covariance))))
-    return replace(sized.with_centers(centers), radius_tolerance_mm=sd_mm)
 
 
 def _shifts(rig: RefinedRig, before: Mapping[str, float]) -> dict[str, float]:

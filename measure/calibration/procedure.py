@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -10,7 +9,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from measure.arrays import Bytes, Floats
+from measure.arrays import Floats
 from measure.calibration import extrinsics, rig_problem
 from measure.calibration.boards import Board, CornerRule
 from measure.calibration.capture import Capture, CaptureCamera
@@ -79,7 +78,13 @@ def calibrate_capture(
             views = find_views(capture.board, capture.views(camera), camera.name, limit)
             model = camera.model or capture.settings.model
             lens = calibrate_lens(capture.board, views, camera.name, model)
-            color = _lateral_color(lens, capture.views(camera))
+            # Of red and blue, by pictures of the board, which is grey
+            center = lens.fit.intrinsics.matrix[:2, 2]
+            used = {view.source for view in lens.views.views[:_COLOR_VIEWS]}
+            found = lateral_color(
+                (picture, center) for name, picture in capture.views(camera) if name in used
+            )
+            color = None if found is None else (float(found.red_blue[0]), float(found.red_blue[1]))
             lenses[camera.name] = replace(lens, lateral_color=color)
             known[camera.name] = lenses[camera.name].intrinsics
     if capture.settings.common_views:
@@ -96,16 +101,6 @@ def check_calibrated(capture: Capture) -> None:
             f"{capture.path}: common_views needs pictures of the board for every camera (none for "
             f"{', '.join(missing)})"
         )
-
-
-def _lateral_color(
-    lens: LensCalibration, pictures: Iterable[tuple[str, Bytes]]
-) -> tuple[float, float] | None:
-    """Of red and blue, by pictures of the board, which is grey."""
-    center = lens.fit.intrinsics.matrix[:2, 2]
-    used = {view.source for view in lens.views.views[:_COLOR_VIEWS]}
-    found = lateral_color((picture, center) for name, picture in pictures if name in used)
-    return None if found is None else (float(found.red_blue[0]), float(found.red_blue[1]))
 
 
 def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibration:

@@ -91,7 +91,8 @@ class Pipeline:
         frame_set, flag = self._duplicates.without_duplicates(frame_set)
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
-            return Draft(_skipped(frame_set), ())
+            head = frame_set.index, frame_set.time_s, _frames(frame_set)
+            return Draft(Measurement(*head, (), (), None, Status.SKIPPED, "restarting"), ())
         draft = self._measure_once(frame_set, expected, pool)
         if self.stages.remeasure_after_search:
             draft = self._remeasured(frame_set, self._searched(frame_set, draft, pool), pool)
@@ -284,8 +285,3 @@ def _status(pose: Pose | None) -> Status:
 
 def _frames(frame_set: FrameSet) -> dict[str, int]:
     return {name: image.frame for name, image in frame_set.images.items()}
-
-
-def _skipped(frame_set: FrameSet) -> Measurement:
-    head = frame_set.index, frame_set.time_s, _frames(frame_set)
-    return Measurement(*head, (), (), None, Status.SKIPPED, "restarting")

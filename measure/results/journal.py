@@ -92,8 +92,8 @@ class GrowingFile:
             unfinished(self._path).unlink(missing_ok=True)
 
 
-class Journal:
-    """One table, appended in batches to an Arrow stream; see `GrowingFile` for where it grows.
+class Journal(GrowingFile):
+    """One table, appended in batches to an Arrow stream.
 
     Args:
         path: the stream, `NAME.arrows`.
@@ -103,17 +103,16 @@ class Journal:
     """
 
     def __init__(self, path: Path, schema: pa.Schema, kept: pa.Table, blame: str = "") -> None:
-        self._folder, self._schema = path.parent, schema
-        self._kept, self._written, self._blame = kept, 0, blame
+        super().__init__(path)
+        self._schema, self._kept, self._written, self._blame = schema, kept, 0, blame
         self._rows: list[dict[str, Any]] = []
-        self._file = GrowingFile(path)
         try:
-            self._file.append(bytes(schema.serialize()))
+            self.append(bytes(schema.serialize()))
         except OSError:
-            self._file.close()
+            self.close()
             raise
 
-    def append(self, rows: Sequence[dict[str, Any]]) -> None:
+    def add(self, rows: Sequence[dict[str, Any]]) -> None:
         """Take rows, which must not change any more; they are written by the next `flush`."""
         self._rows += rows
 
@@ -122,17 +121,9 @@ class Journal:
         if self._rows:
             batch = pa.RecordBatch.from_pylist(self._rows, self._schema)
             self._refuse_other_rows(batch)
-            self._file.append(bytes(batch.serialize()))
+            self.append(bytes(batch.serialize()))
             self._rows = []
             self._written += batch.num_rows
-
-    def take_place(self) -> None:
-        """Replace the stream of the interrupted run by what was flushed, in one step."""
-        self._file.take_place()
-
-    def close(self) -> None:
-        """Close the file; rows that were not flushed are lost."""
-        self._file.close()
 
     def _refuse_other_rows(self, batch: pa.RecordBatch) -> None:
         """Refuse rows that differ from those kept in their places, to the last digit."""
@@ -141,7 +132,7 @@ class Journal:
             # As text, for of unknown numbers (NaN) none equals another.
             if str(old) != str(new):
                 raise RunError(
-                    f"{self._folder} cannot be resumed: frame set {new['index']} comes out "
+                    f"{self._path.parent} cannot be resumed: frame set {new['index']} comes out "
                     f"otherwise than before ({self._blame}): --overwrite starts anew"
                 )
 

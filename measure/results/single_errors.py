@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+import pyarrow as pa
 
-from measure.arrays import Bools, Floats, Ints
+from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError, MeasureError, RunError
 from measure.geometry import Rays, align_points, nearest_point
 from measure.model import Body, Camera
 from measure.results.run import Run
 from measure.results.statistics import PixelErrors, PositionErrors, pixel_errors, position_errors
-from measure.results.tables import Texts, integers, numbers, texts
+from measure.results.tables import integers, numbers, texts
 from measure.session import Trajectory, open_session
 from measure.session.number_table import read_number_table
 
@@ -111,23 +112,6 @@ def _what_is_wrong(
     return ""
 
 
-@dataclass(frozen=True, eq=False)
-class BallObservations:
-    """Ball centres in images that belong to an instant, one a row."""
-
-    index: Ints  # (n,) of the frame set
-    ball: Texts  # (n,) name
-    camera: Texts  # (n,) name
-    frame: Ints  # (n,) number of the camera's picture
-    time_s: Floats  # (n,) of the picture
-    pixels: Floats  # (n, 2)
-
-    def rows(self, rows: Bools) -> BallObservations:
-        """Some rows (n,) only."""
-        some = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
-        return BallObservations(**some)
-
-
 @dataclass(frozen=True)
 class SingleErrors:
     """One kind of error alone."""
@@ -138,19 +122,10 @@ class SingleErrors:
     body: PositionErrors | None  # of the body's origin, fitted to three or more of them
 
 
-def effective_detections(run: Run) -> BallObservations:
-    """The detections a run used."""
-    table = run.detections
-    pixels = numbers(table, "u_px", "v_px")
-    seen = BallObservations(
-        integers(table, "index"),
-        texts(table, "ball"),
-        texts(table, "camera"),
-        integers(table, "frame"),
-        numbers(table, "time_s"),
-        pixels,
-    )
-    return seen.rows((texts(table, "state") == "effective") & np.isfinite(pixels).all(axis=1))
+def effective_detections(run: Run) -> pa.Table:
+    """The rows of the detections that a run used."""
+    known = np.isfinite(numbers(run.detections, "u_px", "v_px")).all(axis=1)
+    return run.detections.filter((texts(run.detections, "state") == "effective") & known)
 
 
 def detection_errors_by_truth(
@@ -158,14 +133,15 @@ def detection_errors_by_truth(
 ) -> SingleErrors:
     """Errors of detection alone: detected centres through the true cameras, taken as exact."""
     seen = effective_detections(run)
-    seen = seen.rows(truth.covers(seen.time_s) & truth.covers(run.times_s[seen.index]))
-    if not len(seen.index):
+    times_s, instants_s = numbers(seen, "time_s"), run.times_s[integers(seen, "index")]
+    here = truth.covers(times_s) & truth.covers(instants_s)
+    seen, times_s, instants_s = seen.filter(here), times_s[here], instants_s[here]
+    if not len(seen):
         return SingleErrors(None, None, None)
-    errors = seen.pixels - _project(seen, run, truth, seen.time_s, cameras)
+    errors = numbers(seen, "u_px", "v_px") - _project(seen, run, truth, times_s, cameras)
     # Each image was taken at its own time: move its error, not its picture, to the instant.
-    there = _project(seen, run, truth, run.times_s[seen.index], cameras)
-    located = triangulate(replace(seen, pixels=there + errors), cameras)
-    ball, body = _against_truth(located, run, truth)
+    there = _project(seen, run, truth, instants_s, cameras)
+    ball, body = _against_truth(triangulate(seen, there + errors, cameras), run, truth)
     return SingleErrors(pixel_errors(errors), ball, body)
 
 
@@ -174,11 +150,13 @@ def localisation_errors_by_truth(
 ) -> SingleErrors:
     """Errors of camera localisation alone: exact centres through the run's cameras."""
     seen = effective_detections(run)
-    seen = seen.rows(truth.covers(run.times_s[seen.index]))
-    if not len(seen.index):
+    instants_s = run.times_s[integers(seen, "index")]
+    here = truth.covers(instants_s)
+    seen, instants_s = seen.filter(here), instants_s[here]
+    if not len(seen):
         return SingleErrors(None, None, None)
-    exact = _project(seen, run, truth, run.times_s[seen.index], cameras)
-    ball, body = _against_truth(triangulate(replace(seen, pixels=exact), run.cameras), run, truth)
+    exact = _project(seen, run, truth, instants_s, cameras)
+    ball, body = _against_truth(triangulate(seen, exact, run.cameras), run, truth)
     return SingleErrors(None, ball, body)
 
 
@@ -188,34 +166,41 @@ def detection_errors_by_marks(run: Run, marks: Marks) -> SingleErrors:
     Both are triangulated with the run's cameras; the difference is the error.
     """
     seen = effective_detections(run)
-    keys = zip(seen.camera.tolist(), seen.frame.tolist(), seen.ball.tolist(), strict=True)
+    keys = zip(*(seen[name].to_pylist() for name in ("camera", "frame", "ball")), strict=True)
     found = [marks.get(key) for key in keys]
-    seen = seen.rows(np.array([mark is not None for mark in found], dtype=bool))
-    if not len(seen.index):
+    seen = seen.filter(np.array([mark is not None for mark in found], dtype=bool))
+    if not len(seen):
         return SingleErrors(None, None, None)
-    pixels = np.stack([mark for mark in found if mark is not None])
-    detected = triangulate(seen, run.cameras)
-    by_hand = triangulate(replace(seen, pixels=pixels), run.cameras)
+    marked = np.stack([mark for mark in found if mark is not None])
+    pixels = numbers(seen, "u_px", "v_px")
+    detected = triangulate(seen, pixels, run.cameras)
+    by_hand = triangulate(seen, marked, run.cameras)
     both = [key for key in detected if key in by_hand]
     balls = np.array([detected[key] - by_hand[key] for key in both]).reshape(-1, 3)
     bodies, bodies_by_hand = fit_bodies(detected, run.body), fit_bodies(by_hand, run.body)
     whole = [index for index in bodies if index in bodies_by_hand]
     body = np.array([bodies[i] - bodies_by_hand[i] for i in whole]).reshape(-1, 3)
     return SingleErrors(
-        pixel_errors(seen.pixels - pixels), position_errors(balls), position_errors(body)
+        pixel_errors(pixels - marked), position_errors(balls), position_errors(body)
     )
 
 
-def triangulate(seen: BallObservations, cameras: Sequence[Camera]) -> dict[tuple[int, str], Floats]:
-    """Points nearest to the rays, unweighted, of each ball at each instant, by (index, ball)."""
-    origins, directions = np.zeros((len(seen.index), 3)), np.zeros((len(seen.index), 3))
+def triangulate(
+    seen: pa.Table, pixels: Floats, cameras: Sequence[Camera]
+) -> dict[tuple[int, str], Floats]:
+    """Points nearest to the rays, unweighted, of each ball at each instant, by (index, ball).
+
+    The centres are at `pixels` (n, 2), and the rest of each detection is a row of `seen`.
+    """
+    origins, directions = np.zeros((len(seen), 3)), np.zeros((len(seen), 3))
     for camera in cameras:
-        mine = seen.camera == camera.name
-        rays = camera.rays(seen.pixels[mine])
+        mine = texts(seen, "camera") == camera.name
+        rays = camera.rays(pixels[mine])
         origins[mine], directions[mine] = rays.origins, rays.directions
     groups: dict[tuple[int, str], list[int]] = {}
+    names = list(zip(seen["index"].to_pylist(), seen["ball"].to_pylist(), strict=True))
     for row in np.flatnonzero(np.isfinite(directions).all(axis=1)).tolist():
-        groups.setdefault((int(seen.index[row]), str(seen.ball[row])), []).append(row)
+        groups.setdefault(names[row], []).append(row)
     out = {}
     for key, rows in groups.items():
         if len(rows) < 2:
@@ -262,12 +247,13 @@ def _against_truth(
 
 
 def _project(
-    seen: BallObservations, run: Run, truth: Trajectory, times_s: Floats, cameras: Sequence[Camera]
+    seen: pa.Table, run: Run, truth: Trajectory, times_s: Floats, cameras: Sequence[Camera]
 ) -> Floats:
     """Where the centres (n, 2) of the balls seen truly were in the images, at the times (n,)."""
-    centers = truth.at(times_s).apply(run.body.centers[[run.body.index(n) for n in seen.ball]])
+    balls = [run.body.index(name) for name in seen["ball"].to_pylist()]
+    centers = truth.at(times_s).apply(run.body.centers[balls])
     out = np.full((len(centers), 2), np.nan)
     for camera in cameras:
-        mine = seen.camera == camera.name
+        mine = texts(seen, "camera") == camera.name
         out[mine] = camera.project(centers[mine])
     return out

@@ -81,11 +81,15 @@ _NINE_DECIMALS = {"time_s", *PLACE[3:]}
 
 
 def schemas(several: bool, relative: bool = False) -> dict[str, pa.Schema]:
-    """The schemas by table, of a run of one body or of several, perhaps relative to one."""
+    """The schemas by table, of a run of one body or of several, perhaps relative to one.
+
+    In the order of writing: a pose's row never stands without the rows it was made from.
+    """
     if not several:
         return SCHEMAS
     out = {name: pa.schema([(BODY, _S), *schema]) for name, schema in SCHEMAS.items()}
-    return out | ({"relative": RELATIVE_SCHEMA} if relative else {})
+    poses = out.pop("poses")
+    return out | ({"relative": RELATIVE_SCHEMA} if relative else {}) | {"poses": poses}
 
 
 def csv_columns(several: bool) -> tuple[str, ...]:

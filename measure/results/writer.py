@@ -167,7 +167,7 @@ class RunWriter:
                     for name, one in relative_measurements(*found).items()
                 ]
             for name, journal in self._journals.items():
-                journal.append(rows[name])
+                journal.add(rows[name])
             for name, file in self._csv.items():
                 file.append(b"".join(csv_line(row, self._columns[name]) for row in rows[name]))
             self._appended += 1
@@ -255,22 +255,15 @@ class RunWriter:
         """Replace what is kept of an earlier run, if that is due and not done."""
         if due and not self._in_place:
             self._flush()
-            for journal in self._in_order():
-                journal.take_place()
-            for file in self._csv.values():
+            for file in (*self._journals.values(), *self._csv.values()):
                 file.take_place()
             self._in_place = True
 
     def _flush(self) -> None:
         if self._begun:
-            for journal in self._in_order():
+            for journal in self._journals.values():
                 journal.flush()
             self._flushed_s = self._clock()
-
-    def _in_order(self) -> list[Journal]:
-        """So that a pose's row never stands without the rows it was made from."""
-        order = ("detections", "balls", "relative", "poses")
-        return [self._journals[name] for name in order if name in self._journals]
 
     def _mend_csv(self, tables: Mapping[str, pa.Table]) -> None:
         """Write `poses.csv` anew if it has not all the rows: then not this process wrote it."""

@@ -225,14 +225,6 @@ def _rosbags(part: str) -> Any:
     return needed(f"rosbags.{part}", "ros", "reading bags", EstimatorError)
 
 
-def _types() -> Any:
-    """Types of ROS 2; bags of ROS 1 bring their own."""
-    typesys = _rosbags("typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    store.register(typesys.get_types_from_msg(DEFINITION, MESSAGE))
-    return store
-
-
 def bag_pieces(
     path: Path, schema: StateSchema, topic: str | None = None
 ) -> Iterator[tuple[Floats, Floats]]:
@@ -251,7 +243,11 @@ def _bag_states(
     arm = {raven_schema("left").robot: 0, raven_schema("right").robot: 1}.get(schema.robot)
     count = 0
     try:
-        with _rosbags("highlevel").AnyReader([path], default_typestore=_types()) as reader:
+        # Types of ROS 2; bags of ROS 1 bring their own
+        typesys = _rosbags("typesys")
+        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        store.register(typesys.get_types_from_msg(DEFINITION, MESSAGE))
+        with _rosbags("highlevel").AnyReader([path], default_typestore=store) as reader:
             if arm is None:
                 rows = joint_rows(path, reader, schema, topic)
             else:

@@ -221,10 +221,9 @@ def stream_frame_sets(
     try:
         while True:
             for index in islice(due, max(prefetch, 1) - len(ahead)):
-                members = _members(streams, pairing, index)
-                ahead.append(
-                    (index, {s.name: pools[s.name].submit(_read, s, p) for s, p in members})
-                )
+                there = zip(streams, pairing.positions[index].tolist(), strict=True)
+                read = {s.name: pools[s.name].submit(_read, s, p) for s, p in there if p >= 0}
+                ahead.append((index, read))
             if not ahead:
                 return
             index, futures = ahead.popleft()
@@ -235,14 +234,6 @@ def stream_frame_sets(
     finally:
         for pool in pools.values():
             pool.shutdown(cancel_futures=True)
-
-
-def _members(
-    streams: Sequence[Stream], pairing: Pairing, index: int
-) -> Iterator[tuple[Stream, int]]:
-    for stream, position in zip(streams, pairing.positions[index], strict=True):
-        if position >= 0:
-            yield stream, int(position)
 
 
 def _read(stream: Stream, position: int) -> Image:

@@ -120,7 +120,11 @@ def _motive(rows: list[list[str]]) -> dict[str, TrackedBody]:
     for name, at in places.items():
         turns = [at[f"Rotation {axis}"] for axis in ("WXYZ" if "Rotation W" in at else order)]
         where = [at[f"Position {axis}"] for axis in "XYZ"]
-        to_quat = np.asarray if len(turns) == 4 else partial(_of_angles, order)
+        to_quat = (
+            np.asarray
+            if len(turns) == 4
+            else partial(_of_turn, partial(Rotation.from_euler, order, degrees=True))
+        )
         unit = _unit_mm(given.get("Length Units", "Meters"))
         out[name] = TrackedBody(rows, head, [1], [1.0], turns, to_quat, where, unit)
     return out
@@ -137,7 +141,11 @@ def _vicon(rows: list[list[str]]) -> dict[str, TrackedBody]:
         turns = [k + 3, k, k + 1, k + 2] if quaternion else [k, k + 1, k + 2]
         start = headings.index("TX", k)
         in_deg = units[k].startswith("deg")
-        to_quat = np.asarray if quaternion else partial(_of_vectors, degrees=in_deg)
+        to_quat = (
+            np.asarray
+            if quaternion
+            else partial(_of_turn, partial(Rotation.from_rotvec, degrees=in_deg))
+        )
         given = rows, head + 1, [0], [1 / rate], turns, to_quat, [start, start + 1, start + 2]
         # Frames count from 1.
         body = TrackedBody(*given, _unit_mm(units[start]), begin_s=1 / rate)
@@ -195,12 +203,8 @@ def _unit_mm(name: str) -> float:
     return _LENGTHS_MM[name.lower()]
 
 
-def _of_angles(order: str, deg: Floats) -> Floats:
-    return Rotation.from_euler(order, deg, degrees=True).as_quat(scalar_first=True)
-
-
-def _of_vectors(rotvec: Floats, *, degrees: bool) -> Floats:
-    return Rotation.from_rotvec(rotvec, degrees=degrees).as_quat(scalar_first=True)
+def _of_turn(turn: Callable[[Floats], Rotation], values: Floats) -> Floats:
+    return turn(values).as_quat(scalar_first=True)
 
 
 def _of_columns(values: Floats) -> Floats:

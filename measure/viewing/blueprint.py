@@ -32,6 +32,10 @@ def run_blueprint(
         eye_controls=_eye(cameras),
     )
     pictures = rrb.Grid(*map(_picture, cameras), name="Cameras")
+    # How frame sets ended: when and why, without the entity's path, which is always the same
+    frame = rrb.encodings.TimelineColumn(entities.TIMELINE_FRAME, visible=True)
+    body = rrb.encodings.TextLogColumn("body")
+    columns = rrb.TextLogColumns(timeline_columns=[frame], text_log_columns=[body])
     traces = rrb.Horizontal(
         rrb.Tabs(
             *([plot("Error [mm]", "plots/error_mm")] if truth else []),
@@ -41,7 +45,7 @@ def run_blueprint(
         plot("Position SD [mm]", "plots/position_sd_mm"),
         plot("Residual [px]", "plots/residual_px"),
         plot("Ball distances [mm]", "plots/distance_mm"),
-        _status(),
+        rrb.TextLogView(origin=entities.STATUS, name="Status", columns=columns),
         name="Traces",
     )
     return framed(
@@ -84,14 +88,6 @@ def _picture(camera: Camera) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin=entities.image(camera.name), name=camera.name, visual_bounds=bounds
     )
-
-
-def _status() -> rrb.TextLogView:
-    """How frame sets ended: when and why, without the entity's path, which is always the same."""
-    frame = rrb.encodings.TimelineColumn(entities.TIMELINE_FRAME, visible=True)
-    body = rrb.encodings.TextLogColumn("body")
-    columns = rrb.TextLogColumns(timeline_columns=[frame], text_log_columns=[body])
-    return rrb.TextLogView(origin=entities.STATUS, name="Status", columns=columns)
 
 
 def _eye(cameras: Sequence[Camera]) -> rrb.EyeControls3D:

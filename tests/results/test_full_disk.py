@@ -96,10 +96,7 @@ def test_a_full_disk_wherever_it_strikes(folder: Path, room: int) -> None:
                 return
             super().begin()
             left = [room]
-            for file in (
-                *(journal._file for journal in self._journals.values()),
-                *self._csv.values(),
-            ):
+            for file in (*self._journals.values(), *self._csv.values()):
                 file._file = _FullAfter(file._file, left)
 
     writer = OnSmallDisk(folder, made_from(), [BODY], CAMERAS)

@@ -15,6 +15,7 @@ AXIS_COLORS = {"x": "#d95f5f", "y": "#4fa35a", "z": "#4f7fd9", "3d": "#b8902e"}
 INK = "#808a96"
 GRID = "rgba(128,138,150,0.22)"
 ACCENT = "#3d8bd4"
+BAR_BELOW = {"orientation": "h", "y": -0.02, "yanchor": "top", "thickness": 10, "len": 0.8}
 GOOD, DOUBTFUL, BAD = "#4fa35a", "#d99a2b", "#cf4b4b"
 PALETTE = ("#3d8bd4", "#d9822b", "#4fa35a", "#b05fc4", "#c94f6d", "#2ba3a3", "#8a7a3d", "#7a86d9")
 
@@ -111,14 +112,7 @@ def residual_map(
     figure.add_scatter(x=x, y=y, mode="lines", line=line, hoverinfo="skip")
     size = np.linalg.norm(residuals_px[keep], axis=1)
     marker = {"color": size, "colorscale": "Turbo", "size": 5, "cmin": 0.0}
-    marker["colorbar"] = {
-        "title": {"text": "px", "side": "top"},
-        "orientation": "h",
-        "y": -0.22,
-        "yanchor": "top",
-        "thickness": 10,
-        "len": 0.8,
-    }
+    marker["colorbar"] = {"title": {"text": "px", "side": "top"}, **BAR_BELOW, "y": -0.22}
     figure.add_scatter(x=start[:, 0], y=start[:, 1], mode="markers", marker=marker, text=size)
     return figure
 

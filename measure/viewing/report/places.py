@@ -13,7 +13,6 @@ from measure.viewing.report import figures
 from measure.viewing.report.page import Page
 
 _LINES = "#808a96"
-_BELOW = {"orientation": "h", "y": -0.02, "yanchor": "top", "thickness": 10, "len": 0.8}
 
 
 def add_cameras(
@@ -46,7 +45,7 @@ def trajectory(
         "color": sd_mm[keep],
         "colorscale": "Viridis",
         "size": 3,
-        "colorbar": {"title": {"text": "SD [mm]", "side": "top"}, **_BELOW},
+        "colorbar": {"title": {"text": "SD [mm]", "side": "top"}, **figures.BAR_BELOW},
     }
     axis = {"showbackground": False, "gridcolor": _LINES, "zerolinecolor": _LINES, "nticks": 5}
     scene = {f"{name}axis": {**axis, "title": f"{name} [mm]"} for name in "xyz"}
@@ -90,7 +89,7 @@ def accuracy(
     markers.
     """
     figure = figures.blank(400, showlegend=False)
-    bar = {"title": {"text": "SD [mm]", "side": "top"}, **_BELOW, "y": -0.2}
+    bar = {"title": {"text": "SD [mm]", "side": "top"}, **figures.BAR_BELOW, "y": -0.2}
     figure.add_heatmap(
         x=across_mm, y=up_mm, z=sd_mm, colorscale="Viridis", hoverongaps=False, colorbar=bar
     )

@@ -29,7 +29,9 @@ def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
             "bad",
             f"No pose to rely on: all of {doubted} are flagged{_because(run, ~unflagged)}.",
         )
-    widest = _radius_95(run.covariances[unflagged[run.has_pose]])
+    # Median radius in mm that holds 95 % of a 3-D Gaussian, its longest axis taken all round
+    longest = np.linalg.eigvalsh(run.covariances[unflagged[run.has_pose]][:, :3, :3])[:, -1]
+    widest = float(np.median(np.sqrt(longest * chi_square_quantile(0.95, 3))))
     parts = [f"Position known to {_digits(widest)} mm (95 %)", _who_carries(run)]
     parts += _what_is_missing(run)
     tone, against = _against_truth(run, errors)
@@ -39,12 +41,6 @@ def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
     words = [", ".join(parts) + "." + against, *_not_counted(run)]
     words += [f"{line[0].upper()}{line[1:]}." for line in run.contradictions]
     return tone, " ".join(words)
-
-
-def _radius_95(covariances: Floats) -> float:
-    """Median radius in mm that holds 95 % of a 3-D Gaussian, its longest axis taken all round."""
-    longest = np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1]
-    return float(np.median(np.sqrt(longest * chi_square_quantile(0.95, 3))))
 
 
 def _who_carries(run: Run) -> str:
