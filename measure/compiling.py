@@ -81,8 +81,7 @@ def _imported(module: str, file: str) -> list[str]:
     return found
 
 
-_FOR_NOW = "triball-code-"
-"""How temporary folders for machine code are called."""
+_FOR_NOW = "triball-code-"  # How temporary folders for machine code are called
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Loops here run over a few dozen rays or points. Unrolled they compile 20 % and run 5 % slower.

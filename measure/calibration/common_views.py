@@ -178,8 +178,7 @@ def _answer(
 _View = tuple[Camera, Corners]
 _UP_FROM_BOARD = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 _LEAST_SD_PX = 0.05  # Corners are never more exact, however few there are
-_WRONG_PX = 5.0
-"""Corners further off than this are no noise: the board moved, or a camera did."""
+_WRONG_PX = 5.0  # Corners further off than this are no noise: the board moved, or a camera did
 
 
 def board_frame(
