@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+# As the command line sets it, and read when NumPy is loaded, here and in every worker: linear
+# algebra of several threads beside another worker waits for itself, four times as long.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings

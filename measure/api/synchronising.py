@@ -109,9 +109,9 @@ def sync(
     """
     if not seconds > 0:
         raise ConfigError(f"{seconds:g} seconds: must be more than 0")
-    file = session_file(session_path)
     # The session's own file is not replaced, but added to.
-    with output(out or file, overwrite or out is None) as written:
+    with output(out or session_file(session_path), overwrite or out is None) as written:
+        file = session_file(session_path)
         with open_session(file, clocks_apart=True) as session:
             # Offsets that may not be replaced are refused before anything is searched.
             add_time_offsets(file, dict.fromkeys(session.streams, 0.0), overwrite)
