@@ -1,6 +1,8 @@
 """What a notebook calls; the command line calls nothing else.
 
-What learns and what draws loads when an action is called, not with this package.
+What learns and what draws loads when an action is called, not with this package. Everywhere
+`registry` holds the plugins, `overwrite` lets an output be replaced that is there, and `progress`
+is called with what is done of the pictures, frame sets or cameras, and how many there are.
 """
 
 from measure.api.accepting import Accepted, accept

@@ -50,7 +50,6 @@ def calibrate(
 
     Args:
         body: body file to judge with; the paper's three-ball body if omitted.
-        progress: called with how many cameras are done, and of how many.
 
     Raises:
         CalibrationError: what cannot give a trustworthy calibration, with its cause.
@@ -83,7 +82,6 @@ def calibrate_to(
     Args:
         file_format: of the file; only "triball" holds covariances and the judgement.
         report: the page; beside the file, ending in .html, if omitted.
-        overwrite: replace what is there.
 
     Returns:
         The result, and the page.
@@ -109,7 +107,6 @@ def draw_target(
         target: TOML of a chessboard, ChArUco board, marker field or body: its path, or the name of
             one that comes with the program (see `shipped_targets`).
         out: .pdf or .svg; the target's name with .pdf in the current folder if omitted.
-        overwrite: replace what is there.
     """
     written = Path(out or f"{Path(target).stem}.pdf")
     with output(written, overwrite) as file:

@@ -107,7 +107,6 @@ def check(
         profile: whose detector searches the pictures, and whose stages measure the motion.
         samples: frame sets, spread over the recording, in which all is searched.
         clock_samples: frame sets from the start that are measured to compare the clocks; 0: none.
-        progress: called with how many frame sets are done, and of how many.
     """
     if samples < 1 or clock_samples < 0:
         raise ConfigError(

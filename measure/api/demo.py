@@ -55,39 +55,32 @@ def demo(
     Then the second half of the way: correct a simulated robot's position with the shipped network.
     Of an earlier demonstration in the folder ConfigError, or with `overwrite` it is replaced.
     """
-    with new_folder(folder, overwrite, _MARK):
-        return _demo(folder, profile, registry, frames, progress)
-
-
-def _demo(
-    folder: Path, profile: Profile, registry: Registry, frames: int, progress: Progress
-) -> Demo:
     from measure.simulation.catalogue import webcam_scene
     from measure.viewing.drawings import write_mosaic
 
-    _check_frames(frames)
     scene = webcam_scene()
-    with compilation_notice() as end_notices:
-        compile_pipeline(profile, registry, scene.body, scene.cameras)
-
-        def rendered(done: int, total: int | None) -> None:
-            end_notices()
-            if total is not None:
-                progress(done, total + frames)
-
-        session = render_demo(folder, frames, rendered)
-    pictures = frames * len(list(session.glob("cam*.csv")))
+    pictures = frames * len(scene.cameras)
+    run_folder, picture = folder / "run", folder / "demo.png"
     options = RunOptions(image_every=max(frames // 10, 1))
+    with new_folder(folder, overwrite, _MARK):
+        _check_frames(frames)
+        with compilation_notice() as end_notices:
+            compile_pipeline(profile, registry, scene.body, scene.cameras)
 
-    def measured(done: int, _: int | None) -> None:
-        progress(pictures + done, pictures + frames)
+            def rendered(done: int, _: int | None) -> None:
+                end_notices()
+                progress(done, pictures + frames)
 
-    summary = run(session, folder / "run", profile, registry, options, measured)
-    picture = folder / "demo.png"
-    with open_session(session) as opened:
-        write_mosaic(opened, read_runs(folder / "run"), frames // 2, picture)
-    correction = correct_simulated_robot(ROBOT_S)
-    return Demo(session, folder / "run", picture, summary, evaluate(folder / "run"), correction)
+            session = render_demo(folder, frames, rendered)
+
+        def measured(done: int, _: int | None) -> None:
+            progress(pictures + done, pictures + frames)
+
+        summary = run(session, run_folder, profile, registry, options, measured)
+        with open_session(session) as opened:
+            write_mosaic(opened, read_runs(run_folder), frames // 2, picture)
+        correction = correct_simulated_robot(ROBOT_S)
+        return Demo(session, run_folder, picture, summary, evaluate(run_folder), correction)
 
 
 def render_demo(folder: Path, frames: int = DEMO_FRAMES, progress: Progress = quiet) -> Path:

@@ -88,7 +88,6 @@ def detect(
         lens: the camera itself, or what says which it is.
         expected: balls, where their centres are and their radii in px; without any the whole
             picture is searched for all balls.
-        progress: called with how many pictures are done, and of how many.
     """
     asked = dict(expected)
     if unknown := [ball for ball in asked if ball not in body.names]:

@@ -93,7 +93,6 @@ def live(
         calibration: the cameras' calibration.
         bodies: the bodies' files, one or several.
         profile: the stages and their settings.
-        registry: where the plugins come from.
         options: what else is to be done with pictures and poses.
         on_state: called after every frame set.
 

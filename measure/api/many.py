@@ -68,7 +68,6 @@ def run_many(
         workers: how many processes on this machine; as many as it has cores if omitted.
         cluster: address of a dask scheduler ("tcp://host:8786"), whose workers see the same paths
             and have the plugins installed.
-        progress: called with how many recordings are finished, and of how many.
     """
     if workers is not None and workers < 1:
         raise ConfigError(f"--workers {workers}: expected at least 1")

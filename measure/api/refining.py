@@ -74,7 +74,6 @@ def refine(
         profile: how to measure, by name or TOML file.
         settings: what may change, and how far.
         calibration: first calibration, if not the session's own.
-        progress: called with how many frame sets are measured, and of how many.
     """
     chosen = lenient(load_profile(profile))
     with open_session(session, calibration=calibration) as opened:
@@ -190,7 +189,6 @@ def find_body(
             only to tell balls of one colour apart.
         origin: name of the ball to put the origin at; the centroid, or that of `like`, if omitted.
         profile: how to measure, by name or TOML file.
-        progress: called with how many frame sets are done, and of how many.
 
     Raises:
         SessionError: fewer than three balls, two of one colour, or balls of another size.

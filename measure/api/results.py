@@ -80,7 +80,6 @@ def report(
         out: the file; `report.html` in the run's folder if omitted.
         truth: poses over time; those of the run's session if omitted and there are any.
         body: which body, of a run of several; all if omitted.
-        overwrite: replace what is there.
         frame: by `register`: poses and errors are shown in the axes of the robot's base.
     """
     from measure.learning.frames import read_frame

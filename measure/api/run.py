@@ -71,7 +71,6 @@ def run(
 
     Args:
         session_path: the session's folder, which is only read.
-        progress: called with how many frame sets are done, and of how many.
         on_note: called with a line that says what resuming the run costs.
 
     Raises:

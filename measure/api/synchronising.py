@@ -105,7 +105,6 @@ def sync(
         out: a session file to write instead of the session's own.
         overwrite: replace offsets, or a file, that are there.
         seconds: how much of each recording is looked at, from its start.
-        progress: called with how many pictures are done, and of how many.
     """
     if not seconds > 0:
         raise ConfigError(f"{seconds:g} seconds: must be more than 0")
