@@ -124,17 +124,15 @@ def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidT
     if not np.isfinite(bearings).all():
         raise CalibrationError("the board's corners lie where the lens sees nothing")
     ideal = bearings[:, :2] / bearings[:, 2:]
-    flat = np.allclose(points[:, 2], 0.0)
-    count, rotations, shifts, _ = cv2.solvePnPGeneric(
-        np.ascontiguousarray(points),
-        np.ascontiguousarray(ideal),
-        np.eye(3),
-        np.zeros(0),
-        flags=cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP,
-    )
+    given = np.ascontiguousarray(points), np.ascontiguousarray(ideal), np.eye(3), np.zeros(0)
+    methods = [cv2.SOLVEPNP_IPPE if np.allclose(points[:, 2], 0.0) else cv2.SOLVEPNP_SQPNP]
+    # SQPNP misses the best pose of four points now and then.
+    methods += [cv2.SOLVEPNP_AP3P] * (len(points) == 4)
+    solved = [cv2.solvePnPGeneric(*given, flags=method)[1:3] for method in methods]
     poses = [
-        RigidTransform.from_rotvec(np.ravel(rotations[i]), np.ravel(shifts[i]))
-        for i in range(count)
+        RigidTransform.from_rotvec(np.ravel(turn), np.ravel(shift))
+        for turns, shifts in solved
+        for turn, shift in zip(turns, shifts, strict=True)
     ]
     errors = [_rms(intrinsics, pose, points, pixels) for pose in poses]
     if not errors or not np.isfinite(np.min(errors)):

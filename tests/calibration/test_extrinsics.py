@@ -7,12 +7,14 @@ import pytest
 
 from benchmarks.errors import body_cost
 from measure.calibration import Tolerances, fit_rig, fit_rig_by_paper
+from measure.calibration.board_views import board_pose
 from measure.calibration.extrinsics import START_MARK_SD_PX, fit_rig_with_boards
 from measure.calibration.rig_problem import MarkerObservation
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
-from measure.model import Camera, paper_body
+from measure.model import Camera, Intrinsics, paper_body
 from tests.calibration.rigs import markers, rig
+from tests.studio import waved
 
 LENS_SD = np.array([0.4, 0.4, 0.4, 0.4])
 TARGET = np.array([0.0, 0.0, 250.0])
@@ -29,6 +31,18 @@ def poses() -> list[RigidTransform]:
 def cost_mm(estimated: tuple[Camera, ...], true: tuple[Camera, ...]) -> float:
     shifts = body_cost(estimated, true, paper_body(), poses())
     return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
+
+
+def test_four_marks_have_one_pose_whatever_the_lens() -> None:
+    """A lens that is not known well must not put the camera elsewhere."""
+    rng, camera = np.random.default_rng(0), waved.rig()[0]
+    points = np.array([[127, 127, 63], [-127, -127, 0], [127, -127, 63], [0, 127, 0.0]])
+    seen, lens = camera.project(points), camera.intrinsics
+    for _ in range(100):
+        matrix, distortion = lens.matrix + np.diag([*rng.normal(0, 3, 2), 0]), np.zeros(5)
+        distortion[0], matrix[:2, 2] = rng.normal(0, 0.02), matrix[:2, 2] + rng.normal(0, 3, 2)
+        pose = board_pose(Intrinsics(lens.size_wh, matrix, distortion), points, seen)
+        assert np.linalg.norm(pose.inverse().translation - camera.center) < 30
 
 
 def test_exact_sights_give_the_exact_rig() -> None:
