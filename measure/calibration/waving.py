@@ -53,12 +53,12 @@ class WaveState:
     # from the calibration; NaN while nothing can be said.
     position_sd_mm: float
     goal_mm: float
-    advice: tuple[str, ...]  # what to do next, the most useful first
+    advice: tuple[str, ...]  # what to do next, the most useful first; none when it is enough
 
     @property
     def enough(self) -> bool:
         """Whether lens and rig are as good as was asked for."""
-        return not self.advice and self.position_sd_mm <= self.goal_mm
+        return not self.advice
 
     def sentence(self) -> str:
         """How good it is, for people."""
@@ -113,6 +113,8 @@ class BoardWave:
             for pair in combinations(self.sizes_wh, 2)
         }
         advice = [*_advice(cameras), *_unconnected(list(cameras), pairs)]
+        if not (advice or self._sd_mm <= self.goal_mm):
+            advice = ["every camera: other places, other tilts"]
         return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, tuple(advice))
 
     def _slip_px(self, name: str, at: Floats, times_s: Mapping[str, float]) -> float:

@@ -41,6 +41,7 @@ def test_it_stops_asking_when_it_is_good_enough(rng):
     """And asks for everything before, in an order that can be followed."""
     wave, asked = wave_of(), []
     assert wave.state().advice[:2] == ("cam0: show it the board", "cam1: show it the board")
+    assert not wave.state().enough
     for time_s in np.arange(0.0, 120.0, 0.5):
         views = seen(time_s, rng)
         wave.add(views, at_once(views, time_s))
@@ -77,6 +78,17 @@ def test_a_board_that_is_never_tilted_is_to_be_tilted(rng):
         ids = np.flatnonzero(camera.intrinsics.contains(at))
         wave.add({"cam0": Corners(ids, at[ids], 0.4)}, {"cam0": float(number)})
     assert "cam0: tilt more" in wave.state().advice
+
+
+def test_what_lacks_nothing_but_precision_is_not_called_enough(rng):
+    wave = wave_of(goal_mm=0.01)
+    for time_s in np.arange(0.0, 60.0, 1.0):
+        views = seen(time_s, rng)
+        wave.add(views, at_once(views, time_s))
+    state = wave.state()
+    assert state.position_sd_mm > 0.01
+    assert not state.enough
+    assert state.advice == ("every camera: other places, other tilts",)
 
 
 def test_a_blurred_view_is_not_kept(rng):
