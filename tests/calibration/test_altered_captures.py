@@ -11,7 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from measure import api
 from measure.cli import main
+from measure.errors import CalibrationError
 from measure.session import read_calibration
 from tests.calibration.altered import AlteredCapture, cost_mm, mirrored, turned
 from tests.calibration.test_crosses import picture
@@ -147,11 +149,17 @@ def test_one_camera_without_marks(altered) -> None:
     assert cost_mm(capture) < 0.02
 
 
-def test_neither_board_nor_marks_is_refused(altered, capsys) -> None:
-    capture = altered("cam0", "cam3")
+def test_neither_board_nor_marks_is_refused_before_lenses_take_minutes(altered) -> None:
+    capture, done = altered("cam0", "cam3"), list[int]()
     capture.without_boards()
+    kept = (capture.folder / "marks.csv").read_text()
     capture.keep_rows("marks.csv", lambda row: not row.startswith("cam3"))
-    assert "cam3: nothing tells where it stands" in refusal(capture, capsys)
+    with pytest.raises(CalibrationError, match="cam3: nothing tells where it stands"):
+        api.calibrate(capture.folder, progress=lambda n, _: done.append(n))
+    assert done == []
+    (capture.folder / "marks.csv").write_text(kept)
+    api.calibrate(capture.folder, progress=lambda n, _: done.append(n))
+    assert done[:2] == [0, 1]
 
 
 def test_markers_in_one_plane_alone_are_refused(altered, capsys) -> None:
