@@ -64,6 +64,7 @@ class Bench:
         preview: their newest pictures.
         job: what is or was being done last; None at first.
         body: the body whose balls are looked for in the previews.
+        viewer: address of the Rerun viewer, while it is there.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Bench:
         self.preview = api.Preview()
         self.job: Job | None = None
         self.body: Path | None = None
+        self.viewer = ""
         self._watched: dict[api.CameraAddress, api.WatchedCamera] = {}
         self._balls: api.BallWatch | None = None
         self._counts: Mapping[str, api.CameraCount] | None = None
@@ -190,7 +192,6 @@ class Bench:
     def record(
         self,
         job: Job,
-        cameras: list[api.CameraAddress],
         session: Path,
         seconds: float | None,
         calibration: Path | None,
@@ -199,14 +200,26 @@ class Bench:
         """Record into a session, as part of a job."""
         look, stop = self.preview.add, job.stop
         options = api.CaptureOptions(self.request, seconds=seconds, on_image=look, stop=stop)
+        cameras, hear = self.addresses(), self.note_counts
         return api.record(
-            cameras,
-            session,
-            options,
-            calibration=calibration,
-            bodies=bodies,
-            on_state=self.note_counts,
+            cameras, session, options, calibration=calibration, bodies=bodies, on_state=hear
         )
+
+    def calibrate(
+        self,
+        capture: Path,
+        hear: Callable[[api.CalibrationResult, Path], None],
+        body: Path | None = None,
+    ) -> None:
+        """Calibrate by a capture; `hear` gets what was found, and its report."""
+
+        def work(job: Job) -> str:
+            out, tell = self.folder / CALIBRATION, job.progress
+            found = api.calibrate_to(out, capture, body=body, progress=tell, overwrite=True)
+            hear(*found)
+            return f"{capture.name} gave {CALIBRATION}; {found[0].lines()[-1]}"
+
+        self.begin(f"calibrating {capture.name}", work)
 
     def stop(self) -> None:
         """End what goes on, as an interrupt would."""

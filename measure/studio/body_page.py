@@ -48,11 +48,10 @@ class _Making:
             raise ConfigError("choose a calibration: the page Calibration makes it")
         session = folder / api.next_free(folder, "session")
         out = folder / api.next_free(folder, "body", ".toml")
-        cameras = bench.addresses()
         names = folder / _COLORS if self.picked else like(bodies)
 
         def work(job: Job) -> str:
-            bench.record(job, cameras, session, self.seconds, calibrations[0])
+            bench.record(job, session, self.seconds, calibrations[0])
             job.title, size = f"looking for the balls in {session.name}", self.radius_mm
             found = api.find_body(session, bench.registry, size, names, progress=job.progress)
             api.write_body(out, found.body)
@@ -131,10 +130,8 @@ def _camera(bench: Bench, making: _Making, body: ui.select, name: str) -> None:
         u, v = at.args
         await tried(lambda: making.pick(chosen(bench, body), name, (u, v)))
 
-    shown = camera_card(
-        bench,
-        name,
-        _WIDTH_PX,
-        lambda: f"{name}: {', '.join(bench.preview.balls(name)) or 'no ball found'}",
-    )
-    shown.on("click", click, js_handler="(e) => e.target.naturalWidth && emit(...sharesOf(e))")
+    def balls() -> str:
+        return f"{name}: {', '.join(bench.preview.balls(name)) or 'no ball found'}"
+
+    card = camera_card(bench, name, _WIDTH_PX, balls)
+    card.on("click", click, js_handler="(e) => e.target.naturalWidth && emit(...sharesOf(e))")

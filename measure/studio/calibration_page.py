@@ -11,7 +11,7 @@ from nicegui import ui
 from measure import api
 from measure.errors import ConfigError
 from measure.studio.bench import CALIBRATION, Bench, Job
-from measure.studio.layout import act, choice, chosen, link, page, picture, told
+from measure.studio.layout import act, camera_card, choice, chosen, link, page, told
 
 _REST_S, _REST_POSES = 2.0, 10  # How long, and how often, a body at rest is measured at least
 _ADVISED = 4  # Pieces of advice that are shown at a time
@@ -22,7 +22,7 @@ class _Wave:
     """What is asked for, and what was taken and calibrated last; it outlives the browser's page."""
 
     bench: Bench
-    board: str = "chessboard_9x6_25"
+    board: str = "charuco_8x5_27"
     goal_mm: float = 0.2
     capture: Path | None = None
     state: api.WaveState | None = None
@@ -64,14 +64,10 @@ class _Wave:
         capture = self.capture or max(self.bench.folder.glob("capture-*"), default=None)
         if capture is None:
             raise ConfigError("there are no pictures of a board yet: wave it first")
-        out = self.bench.folder / CALIBRATION
+        self.bench.calibrate(capture, self._hear, body)
 
-        def work(job: Job) -> str:
-            made = api.calibrate_to(out, capture, body=body, progress=job.progress, overwrite=True)
-            self.result, self.report = made
-            return f"{capture.name} gave {CALIBRATION}; {self.result.lines()[-1]}"
-
-        self.bench.begin(f"calibrating {capture.name}", work)
+    def _hear(self, result: api.CalibrationResult, report: Path) -> None:
+        self.result, self.report = result, report
 
     def world(self) -> None:
         """Put the world where the board lies now."""
@@ -135,7 +131,7 @@ def add(bench: Bench) -> None:
             _progress(wave)
             with ui.element("div").classes("cards"):
                 for one in bench.cameras:
-                    _camera(wave, one.name)
+                    _camera(bench, wave, one.name)
             _judgement(bench, wave)
 
 
@@ -162,7 +158,7 @@ def _steps(bench: Bench, wave: _Wave) -> None:
 
 
 def _progress(wave: _Wave) -> None:
-    told(lambda: wave.advice(), "figure lines", "data-advice")
+    told(wave.advice, "figure lines", "data-advice")
     bar = ui.linear_progress(0.0, show_value=False).props("rounded size=1.2rem")
     told(
         lambda: f"{wave.state.sentence()}; goal {wave.state.goal_mm:g} mm" if wave.state else "",
@@ -178,13 +174,10 @@ def _progress(wave: _Wave) -> None:
     ui.timer(0.4, show)
 
 
-def _camera(wave: _Wave, name: str) -> None:
-    with ui.card():
-        picture(name, 480)
-        with ui.row().classes("line"):
-            with ui.element("div").classes("cells"):
-                cells = [ui.element("div") for _ in range(9)]
-            told(lambda: wave.seen_by(name))
+def _camera(bench: Bench, wave: _Wave, name: str) -> None:
+    card = camera_card(bench, name, 480, lambda: wave.seen_by(name))
+    with card, ui.element("div").classes("cells").props('title="where the board was seen"'):
+        cells = [ui.element("div") for _ in range(9)]
 
     def show() -> None:
         if wave.state is not None and name in wave.state.cameras:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 
 from nicegui import ui
 
 from measure import api
 from measure.studio.bench import Bench
-from measure.studio.layout import choice, chosen, page, picture, put, tried
+from measure.studio.layout import choice, chosen, page, picture, put, tried, typed
 
 WIDTH_PX = 480
 _BLURRED, _CLIPPED, _DARK = 0.12, 0.01, 0.2
 """Below, above and below which a picture is called blurred, overexposed and dark."""
+_NAMED = re.compile(r"[\w.-]+=")
 _FACTS = ("state", "rate", "drops", "times", "sharpness", "exposure", "balls")
 
 
@@ -44,11 +46,12 @@ def _head(bench: Bench, refresh: Callable[[], object]) -> None:
     """A camera to add, and the body to look for."""
 
     async def take() -> None:
-        word = f"{name.value or f'cam{len(bench.cameras)}'}={address.value.strip()}"
+        word = address.value.strip()
+        named = word if _NAMED.match(word) else f"cam{len(bench.cameras)}={word}"
         known = [f"{one.name}={one.address}" for one in bench.cameras]
-        await tried(lambda: bench.set_cameras(api.parse_cameras([*known, word])))
+        await tried(lambda: bench.set_cameras(api.parse_cameras([*known, named])))
         if len(bench.cameras) > len(known):
-            address.value = name.value = ""
+            address.value = ""
             refresh()
 
     async def look() -> None:
@@ -56,8 +59,7 @@ def _head(bench: Bench, refresh: Callable[[], object]) -> None:
         await tried(bench.look_for_balls)
 
     with ui.row().classes("line"):
-        address = ui.input("Address, as http://10.0.0.5:8080/?action=stream or 0").classes("field")
-        name = ui.input("Name").props("maxlength=40")
+        address = typed("Camera", "http://10.0.0.5:8080/?action=stream, or 0, or left=0")
         address.on("keydown.enter", take)
         ui.button("Add", icon="add", on_click=take)
         bodies = api.contents_of(bench.folder).bodies
@@ -71,9 +73,9 @@ def _head(bench: Bench, refresh: Callable[[], object]) -> None:
         await tried(lambda: bench.set_controls(given, lock.value))
 
     with ui.row().classes("line"):
-        controls = ui.input("Controls of this computer's cameras, as exposure=150,cam1.gain=0")
+        controls = typed("Controls of this computer's cameras", "exposure=150, cam1.gain=0")
         lock = ui.checkbox("lock what is automatic", value=bench.given.lock)
-        controls.classes("field").on("keydown.enter", set_controls)
+        controls.on("keydown.enter", set_controls)
         ui.button("Set", on_click=set_controls)
 
 

@@ -1,17 +1,25 @@
-"""Who may come in: this machine alone, or whoever knows the token; no page of another site."""
+"""Who may come in: this machine alone, or whoever knows the token; no page of another site.
+
+And what goes out: the pages may ask this server alone.
+"""
 
 from __future__ import annotations
 
 import hmac
-from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _COOKIE = "studio"
+_OWN = (
+    "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
+    "connect-src 'self' data: blob: http://127.0.0.1:*"
+)
+"""Content-Security-Policy: a page asks this server, and no other but a viewer on this machine."""
 
 
 class Door:
@@ -33,9 +41,11 @@ class Door:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = Headers(scope=scope)
-        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
-        if self._is_foreign(headers) or not self._knows(headers, given):
+        asked = HTTPConnection(scope)
+        given = asked.query_params.get("token", "")
+        held = given, asked.cookies.get(_COOKIE, "")
+        is_known = any(hmac.compare_digest(one.encode(), self._token.encode()) for one in held)
+        if self._is_foreign(asked.headers) or not is_known:
             if scope["type"] == "websocket":
                 await send({"type": "websocket.close", "code": 1008})
                 return
@@ -47,7 +57,13 @@ class Door:
             there.set_cookie(_COOKIE, given, httponly=True, samesite="strict")
             await there(scope, receive, send)
         else:
-            await self._app(scope, receive, send)
+
+            async def answer(message: Message) -> None:
+                if message["type"] == "http.response.start":
+                    MutableHeaders(scope=message)["Content-Security-Policy"] = _OWN
+                await send(message)
+
+            await self._app(scope, receive, answer)
 
     def _is_foreign(self, headers: Headers) -> bool:
         host, origin = headers.get("host", ""), headers.get("origin")
@@ -58,14 +74,3 @@ class Door:
         if origin is not None and from_there != host:
             return True
         return not self._token and named not in _LOOPBACK
-
-    def _knows(self, headers: Headers, given: str) -> bool:
-        if not self._token:
-            return True
-        cookie: SimpleCookie = SimpleCookie()
-        try:
-            cookie.load(headers.get("cookie", ""))
-        except CookieError:
-            return False
-        held = cookie[_COOKIE].value if _COOKIE in cookie else ""
-        return any(hmac.compare_digest(one.encode(), self._token.encode()) for one in (given, held))

@@ -81,6 +81,11 @@ def act(text: str, icon: str, work: Callable[[], str | None]) -> ui.button:
     return ui.button(text, icon=icon, on_click=pressed)
 
 
+def typed(label: str, example: str) -> ui.input:
+    """A field to type into, with an example of what it takes."""
+    return ui.input(label, placeholder=example).props("stack-label").classes("field")
+
+
 def choice(
     label: str, bench: Bench, files: Sequence[Path], several: bool = False, newest: bool = True
 ) -> ui.select:
@@ -112,19 +117,19 @@ def link(text: str, bench: Bench, file: Callable[[], Path | None]) -> None:
     ui.timer(0.5, show)
 
 
-def picture(camera: str, width_px: int) -> ui.element:
+def picture(camera: str, width_px: int) -> None:
     """The newest picture of a camera, which the browser fetches again a few times a second."""
-    shown = ui.element("img").classes("live")
-    return shown.props(f'data-live="/picture/{camera}?width={width_px}" alt="{camera}"')
+    address = f"/picture/{camera}?width={width_px}"
+    ui.element("img").classes("live").props(f'data-live="{address}" alt="{camera}"')
 
 
 def camera_card(bench: Bench, name: str, width_px: int, line: Callable[[], str]) -> ui.element:
-    """The picture of a camera with a line below it; red while it is away."""
+    """The picture of a camera with lines below it; red while it is away."""
     with ui.card() as card:
-        shown = picture(name, width_px)
+        picture(name, width_px)
         told(line)
         ui.timer(0.5, lambda: put(card, "away", bool(bench.problem(name))))
-    return shown
+    return card
 
 
 def put(element: ui.element, name: str, there: bool) -> None:

@@ -11,7 +11,7 @@ from nicegui import events, ui
 
 from measure import api
 from measure.errors import ConfigError
-from measure.studio.bench import CALIBRATION, Bench, Job
+from measure.studio.bench import Bench
 from measure.studio.layout import act, choice, chosen, link, page, tried
 
 _NOW = "the cameras, now"
@@ -87,15 +87,7 @@ class _Marks:
     def locate(self, marking: api.Marking) -> None:
         """Locate the cameras by the marks."""
         marking.save()
-
-        def work(job: Job) -> str:
-            out = self.bench.folder / CALIBRATION
-            result, self.report = api.calibrate_to(
-                out, marking.folder, progress=job.progress, overwrite=True
-            )
-            return f"{marking.folder.name} gave {CALIBRATION}; {result.lines()[-1]}"
-
-        self.bench.begin(f"locating cameras by {marking.folder.name}", work)
+        self.bench.calibrate(marking.folder, lambda _, report: setattr(self, "report", report))
 
     def rows(self, marking: api.Marking) -> list[dict[str, str]]:
         """Every marker, where it is, and where it is seen."""
@@ -138,8 +130,8 @@ def add(bench: Bench) -> None:
         if marks.marking is None:
             ui.label("Choose pictures that show the markers, and press Open.").classes("hint")
         else:
-            _picture(marks, marks.marking)
             _steps(bench, marks, marks.marking)
+            _picture(marks, marks.marking)
 
 
 def _head(bench: Bench, marks: _Marks, refresh: Callable[[], object]) -> None:
@@ -179,7 +171,8 @@ def _picture(marks: _Marks, marking: api.Marking) -> None:
         with ui.column():
             ui.element("canvas").classes("magnifier").props("width=264 height=264")
             columns = [{"name": n, "label": n, "field": n, "align": "left"} for n in _COLUMNS]
-            table = ui.table(rows=[], columns=columns).props("flat dense data-marks")
+            table = ui.table(rows=[], columns=columns).classes("marks")
+            table.props("flat dense data-marks")
             table.on("rowClick", lambda e: marks.choose(e.args[1]["marker"]), [[], ["marker"]])
 
     def show() -> None:

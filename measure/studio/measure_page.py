@@ -35,18 +35,17 @@ class _Live:
     report: Path | None = None
     state: api.LiveState | None = None
     rests: dict[str, api.RestsSoFar] = field(default_factory=dict)
-    shown: str = ""  # address of the viewer while it is there
 
     def record(self, calibrations: list[Path], bodies: list[Path]) -> None:
         """Record until it is stopped."""
         bench, session = self.bench, self._next("session")
-        cameras, calibration = bench.addresses(), next(iter(calibrations), None)
+        calibration = next(iter(calibrations), None)
 
         def work(job: Job) -> str:
             self.session, self.run, self.report = session, None, None
-            recorded = bench.record(job, cameras, session, self.seconds, calibration, bodies)
+            recorded = bench.record(job, session, self.seconds, calibration, bodies)
             pictures = sum(count.pictures for count in recorded.cameras.values())
-            return f"{session.name}: {pictures} pictures of {len(cameras)} cameras"
+            return f"{session.name}: {pictures} pictures of {len(recorded.cameras)} cameras"
 
         bench.begin(f"recording {session.name}", work, needs_cameras=True)
 
@@ -68,10 +67,10 @@ class _Live:
             self.run, self.session, self.report, self.state = run, options.record, None, None
             self.rests = {body.name: api.RestsSoFar(body, rig) for body in read}
             with ExitStack() as stack:
-                stack.callback(setattr, self, "shown", "")
+                stack.callback(setattr, bench, "viewer", "")
                 made = replace(options, stop=job.stop)
                 if self.viewer and bench.local:
-                    self.shown, listens = stack.enter_context(api.web_viewer())
+                    bench.viewer, listens = stack.enter_context(api.web_viewer())
                     made = replace(made, viewer=listens, image_every=10)
                 to = run, calibrations[0], bodies, profile, bench.registry, made
                 summary = api.live(cameras, *to, self._hear).summary
@@ -123,7 +122,7 @@ def add(bench: Bench) -> None:
             _figures(live)
             _afterwards(bench, live)
             frame = ui.element("iframe").classes("viewer").props('title="3-D viewer"')
-            ui.timer(1.0, lambda: _show_viewer(frame, live.shown))
+            ui.timer(1.0, lambda: _show_viewer(frame, bench.viewer.partition("?")[2]))
             with ui.element("div").classes("cards"):
                 for one in bench.cameras:
                     camera_card(bench, one.name, 320, partial(_camera_line, bench, one.name))
@@ -184,8 +183,8 @@ def _pose(measured: api.Measurement) -> str:
     x, y, z = pose.world_from_body.translation
     a, b, c = np.degrees(pose.world_from_body.rotvec)
     return (
-        f"{x:.2f}  {y:.2f}  {z:.2f}  ± {pose.position_sd_mm:.3f} mm\n"
-        f"{a:.2f}  {b:.2f}  {c:.2f}  ± {pose.rotation_sd_deg:.3f} deg"
+        f"x {x:.2f}  y {y:.2f}  z {z:.2f}  ± {pose.position_sd_mm:.3f} mm\n"
+        f"turned {a:.2f}  {b:.2f}  {c:.2f}  ± {pose.rotation_sd_deg:.3f} deg"
     )
 
 
@@ -223,21 +222,15 @@ def _afterwards(bench: Bench, live: _Live) -> None:
     """What can be made of the run, or of the recording."""
     with ui.row().classes("line"):
         link("Report", bench, lambda: live.report)
-        checks = act("Check", "rule", live.check)
-        compares = act("Evaluate", "compare", live.evaluate)
-
-    def show() -> None:
-        checks.set_visibility(live.session is not None and not bench.busy)
-        compares.set_visibility(live.report is not None and not bench.busy)
-
-    ui.timer(0.5, show)
+        act("Check", "rule", live.check).bind_visibility_from(live, "session", bool)
+        act("Evaluate", "compare", live.evaluate).bind_visibility_from(live, "report", bool)
 
 
-def _show_viewer(frame: ui.element, address: str) -> None:
+def _show_viewer(frame: ui.element, query: str) -> None:
     """The viewer of the run that goes on, as it is served to this machine."""
-    frame.set_visibility(bool(address))
-    if frame.props.get("src", "") != address:
-        frame.props(f'src="{address}"')
+    frame.set_visibility(bool(query))
+    if query not in frame.props.get("src", "?"):
+        frame.props(f'src="/viewer/?{query}"')
 
 
 def _camera_line(bench: Bench, name: str) -> str:

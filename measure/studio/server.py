@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 import signal
 import socket
@@ -10,6 +11,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
+from urllib.parse import quote
+from urllib.request import urlopen
 
 import uvicorn
 from fastapi import FastAPI
@@ -26,6 +29,7 @@ from measure.studio.door import Door
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _SERVED = (".html", ".csv", ".png", ".jpg", ".pdf")
 _WIDEST_PX = 4000
+_FOREIGN = re.compile(rb"<link[^>]*https://[^>]*>")  # In a page; browsers connect for its sake
 _PATIENCE_S = 60.0  # How long a page waits for a server that compiles, before it is loaded anew
 
 
@@ -58,10 +62,8 @@ def serve(
     bench = Bench(folder, registry, not token, request or api.CaptureRequest())
     with _listening(host, port) as listening:
         bench.load_cameras(cameras)
-        shown = f"http://{host}:{listening.getsockname()[1]}/" + (
-            f"?token={token}" if token else ""
-        )
-        tell(shown)
+        query = f"?token={token}" if token else ""
+        tell(f"http://{host}:{listening.getsockname()[1]}/{query}")
         config = uvicorn.Config(
             Door(_application(bench), token), log_level="warning", timeout_graceful_shutdown=1
         )
@@ -107,6 +109,7 @@ def _application(bench: Bench) -> FastAPI:
             return PlainTextResponse(f"{name}: no such file", 404)
         return FileResponse(path)
 
+    add_viewer(application, bench)
     static = resources.files("measure.studio") / "static"
     pages.add_static_files("/studio", str(static))
     for page in (cameras_page, calibration_page, marks_page, body_page, measure_page):
@@ -119,3 +122,15 @@ def _application(bench: Bench) -> FastAPI:
         show_welcome_message=False,
     )
     return application
+
+
+def add_viewer(application: FastAPI, bench: Bench) -> None:
+    """The viewer's files by this server, as the door lets them ask no other for anything."""
+
+    @application.get("/viewer/{name:path}")
+    def viewer(name: str) -> Response:
+        if not bench.viewer:
+            return PlainTextResponse("the viewer is there while something is measured", 404)
+        with urlopen(f"{bench.viewer.partition('?')[0]}/{quote(name)}") as found:
+            content, kind = found.read(), found.headers["Content-Type"]
+        return Response(content if name else _FOREIGN.sub(b"", content), media_type=kind)

@@ -81,6 +81,24 @@ def test_elsewhere_nobody_comes_in_without_the_token(query, headers):
         assert first.get(refusal) in (403, 1008)
 
 
+def test_pages_may_ask_their_own_server_alone():
+    async def page(scope, receive, send):
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {"type": "http", "headers": [(b"host", HERE.encode())], "query_string": b""}
+    asyncio.run(Door(page)(scope, None, send))
+    ((_, policy),) = sent[0]["headers"]
+    rules = dict(rule.split(maxsplit=1) for rule in policy.decode().split("; "))
+    assert rules["default-src"].startswith("'self'")
+    assert not [word for rule in rules.values() for word in rule.split() if "//" in word][1:]
+    assert rules["connect-src"].endswith("http://127.0.0.1:*")
+
+
 def test_the_token_becomes_a_cookie_and_leaves_the_address():
     (led, *_) = answer("secret", query="token=secret", host="10.0.0.7:8080")
     headers = {name.decode(): value.decode() for name, value in led["headers"]}

@@ -1,0 +1,62 @@
+"""In a browser: the 3-D viewer is served by the page's own server, and asks nobody else."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+import uvicorn
+from fastapi import FastAPI
+
+from measure import api
+from measure.studio.bench import Bench
+from measure.studio.door import Door
+from measure.studio.server import add_viewer
+from tests.chromium import Chromium, find_chromium
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine"),
+]
+
+
+@contextmanager
+def served(bench) -> Iterator[str]:
+    """The viewer alone, behind the door; yields its address."""
+    application = FastAPI()
+    add_viewer(application, bench)
+    config = uvicorn.Config(Door(application), port=0, log_level="error")
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.05)
+    try:
+        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}/viewer/"
+    finally:
+        server.should_exit = True
+        thread.join()
+
+
+def foreign(page):
+    return [r for r in page.requests if not r.startswith(("http://127.0.0.1:", "blob:", "data:"))]
+
+
+def test_the_viewer_asks_this_machine_alone(tmp_path):
+    """It would ask others for its letters, for news, and to tell that it was used."""
+    bench = Bench(tmp_path, api.Registry.discover(), True, api.CaptureRequest())
+    with api.web_viewer() as (viewer, _), served(bench) as address, Chromium() as page:
+        page.open(address)
+        page.wait_for("document.body?.innerText.includes('while something is measured')", 20)
+        bench.viewer = viewer
+        page.open(f"{address}?{viewer.partition('?')[2]}")
+        page.wait_for("document.querySelector('canvas')?.width > 300", 120)
+        page.wait_until(lambda: any("ReadMessages" in r for r in page.requests), "data", 60)
+        page.wait_until(lambda: "tel.rerun.io" in str(page.errors), "it is refused", 60)
+        assert foreign(page) == []
+        page.open(viewer)
+        page.wait_until(lambda: bool(foreign(page)), "without the door it asks others", 60)
