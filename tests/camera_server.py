@@ -21,7 +21,7 @@ class ServedCamera:
     Attributes:
         pictures: JPEGs; from the last one on they come back in reverse, for ever. Others may be put
             in their place at any time.
-        period_s: between two of them.
+        period_s: between two of them; it may be changed to a part of what it was.
         phase_s: how much later than others it begins.
         lengths: whether parts say how long they are.
         stamps: whether parts carry the camera's own time.
@@ -78,8 +78,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _parts(self, camera: ServedCamera) -> None:
         first = int((time.time() - self.begun) / camera.period_s) + 1
+        taken = self.begun + camera.phase_s + (first - 1) * camera.period_s
         for sent, turn in enumerate(range(first, 1 << 40)):
-            taken = self.begun + camera.phase_s + turn * camera.period_s
+            taken += camera.period_s
             late = camera.late_s[turn % len(camera.late_s)]
             time.sleep(max(taken + late - time.time(), 0.0))
             pictures = camera.pictures

@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -45,6 +46,7 @@ class Chromium:
     Attributes:
         requests: every address the page asked for.
         errors: what the console called an error, and every exception nobody caught.
+        steps: clicks and typed characters on each page, as whoever makes them counts them.
     """
 
     def __init__(self, width: int = 1600, height: int = 1000, dark: bool = False) -> None:
@@ -53,6 +55,7 @@ class Chromium:
             raise RuntimeError("no chromium on this machine")
         self.requests: list[str] = []
         self.errors: list[str] = []
+        self.steps: Counter[tuple[str, str]] = Counter()
         self._profile = tempfile.mkdtemp()
         self._process, self._to, self._from = _start(program, self._profile)
         self._read = b""

@@ -33,10 +33,34 @@ def studio(folder: Path, *words: str) -> Iterator[str]:
     assert process.returncode == 0
 
 
+def go(page: Chromium, address: str) -> None:
+    """Open an address, and wait until what is done there is heard."""
+    page.open(address)
+    page.wait_for("!!window.did_handshake", 60)
+
+
+def count(page: Chromium, clicks: int = 1, typed: int = 0) -> None:
+    """Count what a person would have done on this page."""
+    title = page.evaluate("document.title")
+    page.steps[title, "clicks"] += clicks
+    page.steps[title, "typed"] += typed
+
+
+def turn_to(page: Chromium, name: str) -> None:
+    """Go to another page, by the head of this one."""
+    link = f"[...document.querySelectorAll('.way a')].find(a => a.innerText == '{name}')"
+    page.wait_for(f"!!{link}", 20)
+    page.evaluate(f"{link}.click()")
+    here = f"document.querySelector('.way a.here')?.innerText == '{name}'"
+    page.wait_for(f"{here} && !!window.did_handshake", 60)
+    count(page)
+
+
 def press(page: Chromium, text: str) -> None:
     """Click the button with this text."""
     page.wait_for(f"!!{BUTTON.format(text)}", 20)
     page.evaluate(f"((button) => {{ button.focus(); button.click() }})({BUTTON.format(text)})")
+    count(page)
 
 
 def choose(page: Chromium, label: str, text: str) -> None:
@@ -48,18 +72,26 @@ def choose(page: Chromium, label: str, text: str) -> None:
     option = f"[...document.querySelectorAll('.q-menu .q-item')].find(i => i.innerText == {text!r})"
     page.wait_for(f"!!{option}", 20)
     page.evaluate(f"{option}.click()")
+    count(page, 2)
 
 
 def fill(page: Chromium, label: str, text: str) -> None:
-    """Type into the field with this label, in place of what it holds."""
+    """Type into the field with this label, in place of what it holds; not counted."""
     field = f"""document.querySelector('input[aria-label="{label}"]')"""
     page.wait_for(f"!!{field}", 20)
     page.evaluate(f"{field}.select()")
     page.send("Input.insertText", text=text)
 
 
+def strike(page: Chromium, key: str, text: str) -> None:
+    """Strike a key."""
+    for kind in ("keyDown", "keyUp"):
+        page.send("Input.dispatchKeyEvent", type=kind, key=key, text=text * (kind == "keyDown"))
+    count(page, 0, 1)
+
+
 def click_at(page: Chromium, image: str, u_px: float, v_px: float) -> None:
-    """Point at a place in an image, in px of the picture that it shows, and click."""
+    """Point at a place in an image, in px of the picture that it shows, and click; not counted."""
     page.wait_for(f"document.querySelector('{image}')?.naturalWidth > 0", 20)
     place = f"""(() => {{
         const image = document.querySelector('{image}');

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import re
 import urllib.error
 import urllib.request
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -21,7 +23,18 @@ from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium, find_chromium
 from tests.studio import waved
-from tests.studio.desk import FOOT, choose, click_at, fill, press, studio
+from tests.studio.desk import (
+    FOOT,
+    choose,
+    click_at,
+    count,
+    fill,
+    go,
+    press,
+    strike,
+    studio,
+    turn_to,
+)
 
 pytestmark = [
     pytest.mark.browser,
@@ -32,8 +45,9 @@ pytestmark = [
 ADVICE = "document.querySelector('[data-advice]')?.innerText"
 FIGURES = "document.querySelector('[data-body]')?.innerText ?? ''"
 SHOWN = "document.querySelectorAll('img.live[src^=blob]').length == {}"
-PERIOD_S = 0.3
+PERIOD_S, AT_REST_S = 0.3, 0.1
 """Pictures of one instant are told apart from the next ones on a busy machine, too."""
+PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "set_up_in_the_browser.md"
 POSES_S = (20.8, 170.0, 144.8, 138.4, 9.2, 73.2, 6.4, 14.8, 30.0, 41.0, 52.0, 60.0)
 """Of the waved board: the first eight fill all parts of both pictures, tilted, near and far."""
 FIELD = read_markers(shipped_targets()["raven_markers_16"])
@@ -76,25 +90,23 @@ def test_from_an_empty_folder_to_a_measured_run(tmp_path, rng):
     desk, balls = tmp_path / "desk", ball_pictures(tmp_path / "balls")
     served = {n: ServedCamera(p, PERIOD_S, stamps=True) for n, p in board_pictures(rng).items()}
     with serving(served) as addresses, studio(desk) as address, Chromium(1280, 800) as page:
-        page.open(address)
+        go(page, address)
         add_cameras(page, addresses)
-        page.open(address + "calibration")
+        turn_to(page, "Calibration")
         wave_the_board(page)
         true = check_pair(desk, 1.5, 0.3)
         serve(served, {c.name: [jpeg(waved.dots(c, FIELD.points))] for c in true})
-        page.open(address + "marks")
+        turn_to(page, "Marks")
         mark_the_dots(page, true)
         check_places(desk, true)
         serve(served, balls)
-        page.open(address + "body")
+        turn_to(page, "Body")
         make_the_body(page, desk, true, tmp_path / "balls")
         check_body(desk)
-        serve(served, {name: at_rest(pictures[0], rng) for name, pictures in balls.items()})
-        page.open(address + "calibration")
-        choose(page, "Body to be measured", "body-1.toml")
-        press(page, "world: the body at rest")
-        page.wait_for(f"{FOOT}.includes('the world is the frame of body-1.toml')", 60)
-        page.open(address + "measure")
+        resting = {name: at_rest(pictures[0], rng) for name, pictures in balls.items()}
+        serve(served, resting, AT_REST_S)
+        put_the_world_at_the_body(page, address)
+        turn_to(page, "Measure")
         measure(page)
         assert page.errors == []
         assert [r for r in page.requests if not r.startswith((address, "blob:", "data:"))] == []
@@ -102,17 +114,26 @@ def test_from_an_empty_folder_to_a_measured_run(tmp_path, rng):
     check_run(desk, addresses)
 
 
-def serve(served, pictures):
+def serve(served, pictures, period_s=PERIOD_S):
     for name, some in pictures.items():
-        served[name].pictures = some
+        served[name].pictures, served[name].period_s = some, period_s
+
+
+def as_if_four(page, before):
+    """Count what was done for the second of two cameras for two further ones, too."""
+    second = page.steps - before
+    page.steps += second + second
 
 
 def add_cameras(page, addresses):
+    count(page)  # The field is clicked once, and keeps the cursor
     for name, stream in addresses.items():
-        fill(page, "Address, as http://10.0.0.5:8080/?action=stream or 0", stream)
-        fill(page, "Name", name)
-        press(page, "add$")
+        before = page.steps.copy()
+        fill(page, "Camera", stream)
+        count(page, 0, len(stream))
+        strike(page, "Enter", "\r")
         page.wait_for(f"!!document.querySelector('[data-camera={name}]')", 20)
+    as_if_four(page, before)
     page.wait_for(SHOWN.format(2), 30)
     for fact in ("640 x 480 px", "its own clock"):
         page.wait_for(f"document.body.innerText.includes('{fact}')", 20)
@@ -120,10 +141,10 @@ def add_cameras(page, addresses):
 
 def wave_the_board(page):
     """Advice comes till nothing is missing; then the world is where the board lies."""
-    choose(page, "Board", waved.TARGET)
     press(page, "draw it")
     page.wait_for(f"!!document.querySelector('a[href$=\"{waved.TARGET}.pdf\"]')", 20)
-    fill(page, "Goal at the body, mm", "1")
+    count(page)  # The link to it
+    fill(page, "Goal at the body, mm", "1")  # The test's: the board has twelve poses alone
     press(page, "wave the board")
     page.wait_for(f"{ADVICE}.includes('cam')", 30)
     page.wait_for(f"/capture-1: .*good enough/.test({FOOT})", 120)
@@ -142,11 +163,12 @@ def mark_the_dots(page, true):
     press(page, "open$")
     page.wait_for("!!document.querySelector('.marked img')", 20)
     for camera in true:
+        before = page.steps.copy()
         press(page, f"{camera.name}$")
         page.wait_for(f"document.querySelector('.marked img').src.includes('{camera.name}')", 20)
         at = camera.project(FIELD.points)
         inside = np.flatnonzero(camera.intrinsics.contains(at, 25.0))
-        for k in inside[:: len(inside) // 5]:
+        for k in inside[:: len(inside) // 4][:4]:
             name, rows = FIELD.names[k], "[...document.querySelectorAll('[data-marks] tr')]"
             row = f"{rows}.find(r => r.innerText.startsWith('{name}'))"
             page.wait_for(f"!!{row}", 10)
@@ -156,8 +178,10 @@ def mark_the_dots(page, true):
             )
             click_at(page, ".marked img", *(at[k] + [1.6, -1.2]))
             page.wait_for(f"/radius/.test({row}.innerText)", 10)
+            count(page, 2)
         press(page, "find$")
         page.wait_for(f"document.querySelectorAll('circle.mark').length >= {len(inside) - 2}", 20)
+    as_if_four(page, before)
     press(page, "write marks")
     page.wait_for("document.body.innerText.includes('marks-1/marks.csv is written')", 20)
     press(page, "locate the cameras")
@@ -181,6 +205,7 @@ def make_the_body(page, desk, true, session):
         return colors.exists()
 
     page.wait_until(is_picked, "a ball is clicked", 60)
+    count(page)
     for name in ("cam0", "cam1"):
         page.wait_for(f"document.body.innerText.includes('{name}: green, red, yellow')", 240)
     fill(page, "Seconds", "3")
@@ -192,12 +217,36 @@ def make_the_body(page, desk, true, session):
 def measure(page):
     press(page, "measure$")
     page.wait_for("document.querySelector('[data-pose]')?.innerText.includes('±')", 90)
-    page.send("Input.dispatchKeyEvent", type="keyDown", key="m", code="KeyM", text="m")
+    check_steps(page)
+    strike(page, "m", "m")
     page.wait_for("document.querySelector('[data-events]').innerText.includes('1. event')", 20)
     page.idle(1.0)
     press(page, "stop")
     page.wait_for(f"/run-1: .* believed/.test({FOOT})", 90)
     page.wait_for("!!document.querySelector('a[href$=\"run-1/report.html\"]')", 20)
+
+
+def put_the_world_at_the_body(page, address):
+    """Another way to a world, which nobody counts."""
+    go(page, address + "calibration")
+    steps = page.steps.copy()
+    choose(page, "Body to be measured", "body-1.toml")
+    press(page, "world: the body at rest")
+    page.wait_for(f"{FOOT}.includes('the world is the frame of body-1.toml')", 60)
+    page.steps = steps
+
+
+def check_steps(page):
+    """The tables in the docs are of the steps that were made here, and of the commands there."""
+    text = PAGE.read_text("utf-8")
+    (commands,) = re.findall(r"<!-- all by commands -->\n```text\n(.*?)```", text, re.S)
+    rows = re.findall(r"^\| (.+?) \| (\d+) \| (\d+) \|$", text, re.M)
+    titles = ("Cameras", "Calibration", "Marks", "Body", "Measure")
+    made = {title: [page.steps[title, kind] for kind in ("clicks", "typed")] for title in titles}
+    used = [made[title] for title in titles if title != "Marks"]
+    made["in all, without Marks"] = [sum(row) for row in zip(*used, strict=True)]
+    made["by commands"] = [0, len(commands)]
+    assert {title: [int(clicks), int(typed)] for title, clicks, typed in rows} == made
 
 
 def check_pair(desk, mm, deg):
