@@ -29,7 +29,7 @@ from measure.capture.sources import Source
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.measuring import Measurement, Pipeline, Profile, burn_in, relative_measurements
-from measure.model import Body, Camera, FrameSet, Image
+from measure.model import Body, Camera, Image
 from measure.processes import share_heaps
 from measure.results import Provenance, RunWriter, Summary, check_run_folder
 from measure.session import Calibration, check_bodies, check_unit, read_body
@@ -110,7 +110,11 @@ def live(
         gathering = Gathering(list(rig.addresses), on_read=rig.note_read)
         takers = [gathering.add, *_recorders(stack, opened, sent, options.record)]
         sending = stack.enter_context(prepared.sending)
-        outputs = _LiveOutputs(stack, out, prepared.made_from, sent, options)
+        parts = sent.bodies, sent.cameras
+        given = out, prepared.made_from, *parts
+        writer = RunWriter(*given, overwrite=options.overwrite, reference=sent.reference)
+        stack.enter_context(writer).begin()
+        log = stack.enter_context(RunLog(sent.name, *parts, out, options))
 
         def on_mark(time_s: float, what: str) -> None:
             mark_event(out, what, time_s)
@@ -126,11 +130,13 @@ def live(
         for frame_set, found in measure_frame_sets(pipelines, frame_sets()):
             known = [_with_away(each, rig.away) for each in found]
             sending.send(_sent_poses(sent, known), images=frame_set.images)
-            outputs.add(frame_set, known)
+            writer.append(*known)
+            log.add(known, frame_set)
             state = watch.state(known)
             on_state(state)
         rig.check()
-        summary = outputs.finish()
+        log.close()
+        summary = writer.finish()
     return LiveEnd(summary, state, tuple(opened.controls.changed.values()), sending.counts)
 
 
@@ -223,30 +229,6 @@ def _sent_poses(run: SentRun, measured: Sequence[Measurement]) -> list[SentPose]
     own = [sent_pose(one, name) for one, name in zip(measured, names, strict=True)]
     relative = relative_measurements(run.bodies, measured, run.reference, run.cameras)
     return own + [sent_pose(one, name, run.reference) for name, one in relative.items()]
-
-
-class _LiveOutputs:
-    """The run's folder and its recording; both end with `stack`."""
-
-    def __init__(
-        self, stack: ExitStack, out: Path, made_from: Provenance, run: SentRun, options: LiveOptions
-    ) -> None:
-        given = out, made_from, run.bodies, run.cameras
-        writer = RunWriter(*given, overwrite=options.overwrite, reference=run.reference)
-        self._writer = stack.enter_context(writer)
-        self._writer.begin()
-        log = RunLog(run.name, run.bodies, run.cameras, out, options)
-        self._log = stack.enter_context(log)
-
-    def add(self, frame_set: FrameSet, measured: Sequence[Measurement]) -> None:
-        """Write a measurement of each body."""
-        self._writer.append(*measured)
-        self._log.add(measured, frame_set)
-
-    def finish(self) -> Summary:
-        """Finish the run's folder."""
-        self._log.close()
-        return self._writer.finish()
 
 
 class _PaceMeter:
