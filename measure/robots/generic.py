@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from xml.etree import ElementTree as ET
@@ -300,7 +301,8 @@ def _readings(
 def _log(file: _Robot, names: tuple[str, ...], position: tuple[str, ...]) -> LogFormat:
     log = file.log
     others = [_named(names, given.names, given.scale) for given in log.joints]
-    others += [_named(position, given.names, given.scale) for given in log.position]
+    # Behind the three coordinates a pose goes on: that is no robot of more joints.
+    others += [replace(_named(position, p.names, p.scale), unless="") for p in log.position]
     if not file.features:
         for unit, scale in (("", 1.0), ("_rad", 1.0), ("_deg", _FACTORS["deg"])):
             others += [_named(names, name + unit, scale) for name in _JOINT_NAMES]
