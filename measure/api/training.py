@@ -35,7 +35,6 @@ class TrainOptions:
         split_seed: which trajectories those are.
         folds: groups of recordings left out in turn, in fits of their own, to judge the covariance;
             0 leaves none out.
-        split_rows: split by random rows, which is wrong: to see how wrong.
     """
 
     estimator: str = "stream"
@@ -48,7 +47,6 @@ class TrainOptions:
     validation_share: float = 0.1
     split_seed: int = 0
     folds: int = 4
-    split_rows: bool = False
 
 
 def train(
@@ -104,9 +102,6 @@ def _split(data: Sequence[Path], options: TrainOptions) -> Split:
         )
     if other is not None:
         return learning.Split(whole, other, test or other)
-    if options.split_rows:
-        shares = {"test": options.test_share, "validation": options.validation_share}
-        return learning.split_by_rows(whole, **shares, seed=options.split_seed)
     return learning.split_by_trajectory(
         whole,
         test=test or options.test_share,

@@ -45,7 +45,7 @@ def train(
     if json:
         known = trained.left_out and asdict(trained.left_out)
         said = {"model": str(out), "scored_on": trained.scored_on, "left_out": known}
-        console.print_json(said | {"test": result.to_dict()})
+        console.print_json(said | {"test": asdict(result)})
         return
     names = ("", "RMS_mm", "SD_mm", "p95_mm", "x_mm", "y_mm", "z_mm")
     rows = [

@@ -207,6 +207,11 @@ class OnnxModel:
                 f"{self.where}: expects {len(self.features)} features, the data have "
                 f"{len(schema.names)}; missing: {lacks}"
             )
+        if not schema.means(self.schema):
+            raise EstimatorError(
+                f"{self.where}: learnt with another description of robot '{self.robot}', of other "
+                "units, joints or kinematics: use the same"
+            )
 
     def another(self) -> OnnxModel:
         """The same network with a history of its own, which begins here."""

@@ -5,7 +5,7 @@ from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFac
 from measure.learning.clock import estimate_offset
 from measure.learning.datagrams import AnswerPacket, StatePacket, TruePacket
 from measure.learning.guard import Counters, GuardedModel, Refusal
-from measure.learning.offline import correct, correct_file, follower_of, read_states, rezero
+from measure.learning.offline import correct_file, follower_of, read_states, rezero
 from measure.learning.offsets import DriftMonitor, OffsetFollower, Zeroing, fit_zeroing
 from measure.learning.scores import (
     EstimatorEvaluation,
@@ -18,14 +18,7 @@ from measure.learning.scores import (
 )
 from measure.learning.server import EstimateClient, EstimateServer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
-from measure.learning.splits import (
-    Split,
-    join,
-    same_robot,
-    split_as_trained,
-    split_by_rows,
-    split_by_trajectory,
-)
+from measure.learning.splits import Split, join, same_robot, split_as_trained, split_by_trajectory
 from measure.learning.sweeping import SweepState
 from measure.learning.training import Trained, train
 
@@ -33,9 +26,9 @@ __all__ = [
     "PAPER_MINUTES", "PAPER_PAIRS", "AnswerPacket", "AssemblySettings", "Counters", "DriftMonitor",
     "EstimateClient", "EstimateServer", "EstimatorEvaluation", "GuardedModel", "Importance",
     "OffsetFollower", "PoseTrack", "Refusal", "Score", "Split", "StatePacket", "SweepState",
-    "Trained", "TrajectoryFacts", "TruePacket", "Zeroing", "ablate", "assemble", "correct",
+    "Trained", "TrajectoryFacts", "TruePacket", "Zeroing", "ablate", "assemble",
     "correct_file", "estimate_offset", "evaluate", "field_groups", "files", "fit_zeroing",
     "follower_of", "join", "read_states", "rezero", "same_robot", "simulated_dataset",
-    "single_fields", "split_as_trained", "split_by_rows", "split_by_trajectory", "sweeping",
+    "single_fields", "split_as_trained", "split_by_trajectory", "sweeping",
     "train",
 ]  # fmt: skip

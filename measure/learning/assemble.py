@@ -13,7 +13,13 @@ from measure.geometry import RigidTransform
 from measure.geometry.covariance import MAD_TO_SD
 from measure.host import Dataset
 from measure.learning.clock import ClockOffset, estimate_offset
-from measure.learning.labels import check_frames, check_labels, check_units, label_doubts
+from measure.learning.labels import (
+    check_frames,
+    check_labels,
+    check_turns,
+    check_units,
+    label_doubts,
+)
 from measure.learning.splits import join
 from measure.metrology.poses import PoseTable
 from measure.robots import StateLog
@@ -184,6 +190,10 @@ def _assemble_one(
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     marks = _Marks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
     judged = marks.judged
+    if (chain := log.schema.chain) is not None and track.rotations is not None:
+        turned = judged[row_of_pose]
+        joints = log.schema.joint_positions(states[row_of_pose[turned]])
+        check_turns(track.name, track.rotations[turned], chain.pose(joints).rotation)
     check_frames(track.name, positions[judged], reported[judged])
     given = clock is None and bool(np.all(np.diff(times) > 0))
     velocity = np.gradient(reported, times, axis=0)[judged] if given else None

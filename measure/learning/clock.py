@@ -64,13 +64,16 @@ def estimate_offset(
     lags, scores = _agreements(cameras, robot, grid, largest_s)
     best = int(np.argmax(scores))
     if not scores[best] >= _MIN_CORRELATION:
-        step = float(np.median(np.diff(camera_times_s)))
-        hint = f" Poses every {step:.2g} s hardly show speeds: give the clock offset."
+        step, own = (float(np.median(np.diff(t))) for t in (camera_times_s, robot_times_s))
+        what, longest = max(("Poses", step), ("States", own), key=lambda pair: pair[1])
+        hint = (
+            f" {what} every {longest:.3g} s hardly show speeds: if that is in s, give the offset."
+        )
         raise EstimatorError(
             f"no clock offset within {largest_s:g} s makes the measured and the reported velocity "
             f"agree (best correlation {scores[best]:.2f}): is this the log of this recording, "
             "no axis reversed, and the tip the body's origin (else `measure register`)?"
-            + (hint if step > _SPARSE_POSES_S else "")
+            + (hint if longest > _SPARSE_POSES_S else "")
         )
     rival = int(np.argmax(np.where(np.abs(lags - lags[best]) > _MIN_RIVAL_DISTANCE_S, scores, 0.0)))
     if 1 - scores[rival] ** 2 < _MIN_RESIDUAL_RATIO * (1 - scores[best] ** 2):

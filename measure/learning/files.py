@@ -24,6 +24,7 @@ from measure.robots.tables import Table
 _KEY = b"measure.schema"
 _ERRORS = ("ex_mm", "ey_mm", "ez_mm")
 _LABELS = ("ex", "ey", "ez")
+_STILL_MM, _LEAST_TURN_DEG = 1.0, 3.0  # RMS, of a body's origin and of its turns
 _LABEL_SD_MM = 0.1  # of those, which no column states
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _COVARIANCE = tuple(f"cov_{'xyz'[i]}{'xyz'[j]}_mm2" for i, j in _UPPER)
@@ -187,6 +188,7 @@ def read_poses(path: Path) -> PoseTrack:
         turns = RigidTransform.from_quat_wxyz(
             np.where(known[:, None], quats, [1.0, 0, 0, 0]), np.zeros(3)
         ).rotation
+        _check_metres(path, columns[known, 1:], turns[known])
     if not np.isfinite(columns[:, 0]).all():
         row = int(np.argmin(np.isfinite(columns[:, 0]))) + 1
         raise EstimatorError(f"{path}: row {row} has no time")
@@ -194,6 +196,19 @@ def read_poses(path: Path) -> PoseTrack:
     if "status" in table:
         positions = _where_ok(positions, table.labels("status"))
     return _ordered(path.stem, columns[:, 0], positions, P, turns)
+
+
+def _check_metres(path: Path, positions: Floats, turns: Floats) -> None:
+    """Refuse (EstimatorError) a body that turns (n, 3, 3) and whose origin (n, 3) stays."""
+    if not len(turns):
+        return
+    spread = np.linalg.norm(positions.std(axis=0))
+    turned_deg = np.degrees(np.linalg.norm(turns.std(axis=0)) / np.sqrt(2))
+    if spread < _STILL_MM and turned_deg > _LEAST_TURN_DEG:
+        raise EstimatorError(
+            f"{path}: the positions spread by {spread:.2g} mm while the body turns by "
+            f"{turned_deg:.0f} deg (RMS): are they in metres? Convert them to mm"
+        )
 
 
 def _variance(table: Table, name: str, usual_sd: float) -> Floats:

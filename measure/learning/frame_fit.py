@@ -262,10 +262,8 @@ def _closed_form(seen: Sightings) -> tuple[RigidTransform, RigidTransform]:
     poses = seen.poses.world_from_body
     hand, _, _ = seen.flange(np.zeros(seen.links), np.zeros(len(seen.shared)))
     flange = np.eye(3)
-    if seen.chain:  # with vec by columns, vec(R_base) = (R_hand x R_pose) vec(R_flange)
-        turns = np.einsum("nab,ncd->acbd", hand.rotation, poses.rotation).reshape(9, 9)
-        u, _, v = np.linalg.svd(turns)
-        base, flange = _nearest_rotation(u[:, 0]), _nearest_rotation(v[0])
+    if seen.chain:
+        base, flange, _ = align_turns(hand.rotation, poses.rotation)
     else:  # R_pose p + t = A reported + b, linear in p, A and b
         unit = np.broadcast_to(np.eye(3), poses.rotation.shape)
         spread = np.einsum("nk,ij->nikj", hand.translation, np.eye(3)).reshape(-1, 3, 9)
@@ -277,6 +275,17 @@ def _closed_form(seen: Sightings) -> tuple[RigidTransform, RigidTransform]:
     wanted = poses.translation - hand.translation @ base.T
     x = np.linalg.lstsq(rows.reshape(-1, 6), wanted.ravel())[0]
     return RigidTransform(base, x[:3]), RigidTransform(flange, x[3:])
+
+
+def align_turns(hand: Floats, pose: Floats) -> tuple[Floats, Floats, float]:
+    """Rotations world_from_base and body_from_flange, of base_from_flange and world_from_body.
+
+    Those are (n, 3, 3); last the angle, rad RMS, by which they miss each other.
+    """
+    # With vec by columns, vec(R_base) = (R_hand x R_pose) vec(R_flange).
+    u, sizes, v = np.linalg.svd(np.einsum("nab,ncd->acbd", hand, pose).reshape(9, 9))
+    apart = np.sqrt(3 * max(0.0, 1 - sizes[0] / len(hand)))
+    return _nearest_rotation(u[:, 0]), _nearest_rotation(v[0]), float(apart)
 
 
 def _nearest_rotation(columns: Floats) -> Floats:

@@ -12,6 +12,7 @@ from measure.arrays import Floats, rms_length
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, align_points, skew
 from measure.host import Dataset
+from measure.learning.frame_fit import align_turns
 from measure.robots import SerialChain, StateSchema
 
 _MIN_SPREAD_MM = 1.0  # Spread of the positions below which their unit is not checked
@@ -20,6 +21,7 @@ _MIN_SPREAD_SHARE = 1e-4
 _MIN_ROWS, _MIN_PLANE_SPREAD_MM = 20, 10.0
 """Fewer positions, or positions nearer to one line, do not determine a frame."""
 _MIN_CORRELATION = 0.8
+_MIN_APART_DEG = 3.0  # of rotations that may be inverted
 _MIN_MIRROR_RATIO = 3.0
 """Of the residual motion to that in a mirrored frame, from which the frame is called mirrored."""
 
@@ -35,7 +37,7 @@ def check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
         if 0.3 < ratio / factor < 3.0:
             raise EstimatorError(
                 f"{name}: the measured positions look like {what} (they spread {ratio:.2g} times "
-                "as far as the robot's reported ones): convert them to mm"
+                "as far as the robot's reported ones), or these are not in mm: convert them to mm"
             )
     if expected < _MIN_SPREAD_SHARE * spread:
         raise EstimatorError(
@@ -80,6 +82,28 @@ def check_frames(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
         raise EstimatorError(
             f"{name}: the measured and the reported positions {wrong} Their difference would be "
             "learnt as the robot's error"
+        )
+
+
+def check_turns(name: str, measured: Floats, modelled: Floats, *, most_deg: float = np.inf) -> None:
+    """Refuse (EstimatorError) rotations (n, 3, 3) of a body that are not those of the flange.
+
+    They are farther apart than `most_deg` (RMS), or go together once the measured are inverted.
+    """
+    apart, inverted = (
+        np.degrees(align_turns(modelled, turns)[2])
+        for turns in (measured, np.swapaxes(measured, 1, 2))
+    )
+    said = f"{name}: the measured rotations are {apart:.1f} deg (RMS) from those of the joints"
+    if apart > max(_MIN_APART_DEG, _MIN_MIRROR_RATIO * inverted):
+        raise EstimatorError(
+            f"{said}, and inverted {inverted:.1f}: qw, qx, qy, qz must stand in this order and "
+            "turn the body's axes into the world's"
+        )
+    if apart > most_deg:
+        raise EstimatorError(
+            f"{said}, whatever base and tool: is --robot the right one, are its joints in their "
+            "order, and is this the log of this recording?"
         )
 
 
@@ -275,6 +299,9 @@ def chain_doubt(chain: SerialChain | None, joints: Floats, reported_mm: Floats) 
     other = Paired(reported_mm, tip, None, joints, chain)
     tool, frame = _explain(other, [6, 7, 8]), _explain(other, list(range(6)))
     said = f"the kinematics put the tip {size:.1f} mm (RMS) from where the log reports it: "
+    longer = rms_length(reported_mm) / rms_length(tip)
+    if not 0.2 < longer < 5.0:
+        return f"{said}{longer:.3g} times as far from the base: is that in mm?"
     if tool.left_mm < 0.1 * size:
         add = (chain.tool[:3, 3] + chain.tool[:3, :3] @ tool.tool_mm).round(2) + 0.0  # no -0.0
         return f"{said}with tool_mm = {add.tolist()} in robot.toml they fit"

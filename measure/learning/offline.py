@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +15,16 @@ from pyarrow import csv, parquet
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, OnnxModel
+from measure.learning import offsets
 from measure.learning.assemble import AssemblySettings, PoseTrack, assemble
 from measure.learning.guard import GuardedModel
-from measure.learning.offsets import (
-    PRIOR_LIMITS_MM,
-    PRIOR_SD_MM,
-    DriftMonitor,
-    OffsetFollower,
-    Zeroing,
-    fit_zeroing,
-    without_restarts,
-)
+from measure.learning.labels import Paired, chain_doubt, check_units, not_the_robot
 from measure.reading import candidates, time_columns
 from measure.robots import LogFile, StateSchema, check_robot, feature_columns, is_table, log_pieces
 from measure.robots.schema import Clock, FeatureColumns
 from measure.robots.tables import TableFile
 
+_MOST_UNFAMILIAR, _SPARSEST = 0.5, 10.0  # share of states; their steps over those of the training
 _NEAR_S = 0.05  # a true position is that of the first state after it, if no later than this
 
 
@@ -113,14 +107,15 @@ class Corrector:
     def __init__(
         self,
         model: OnnxModel,
-        zeroing: Zeroing | None = None,
-        follower: OffsetFollower | None = None,
+        zeroing: offsets.Zeroing | None = None,
+        follower: offsets.OffsetFollower | None = None,
         true: PoseTrack | None = None,
     ) -> None:
         """A table of `true` positions, on the states' clock, moves the offsets of `follower`."""
         self._guarded = GuardedModel(model, zeroing, follower=follower)
         self._run: object = None
         self._true, self._next = true, 0
+        self._seen = list[tuple[Floats, Floats]]()  # states, and the true positions taken there
 
     @property
     def counts(self) -> dict[str, int]:
@@ -145,11 +140,11 @@ class Corrector:
             if isinstance(answer, Correction):
                 errors[row], covariances[row] = answer.error_mm, answer.covariance
                 unfamiliar[row] = answer.unfamiliar
-                self._take(float(table.times_s[row]))
+                self._take(table.states[row], float(table.times_s[row]))
         sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
         return Corrected(errors, sd, unfamiliar, self.counts)
 
-    def _take(self, time_s: float) -> None:
+    def _take(self, state: Floats, time_s: float) -> None:
         """The true positions measured since the state before, where it was near in time."""
         while (
             self._true is not None
@@ -160,30 +155,35 @@ class Corrector:
             position = self._true.positions_mm[at]
             if np.isfinite(position).all() and time_s - self._true.times_s[at] <= _NEAR_S:
                 self._guarded.measured(position, self._true.covariances[at])
+                self._seen.append((state, position))
 
-
-def correct(
-    tables: Iterable[StateTable], model: OnnxModel, zeroing: Zeroing | None = None
-) -> tuple[Floats, Corrected]:
-    """Times (n,) of all states, and their corrections."""
-    corrector = Corrector(model, zeroing)
-    done = [(table.times_s, corrector.correct(table)) for table in tables]
-    parts = [part for _, part in done]
-    whole = Corrected(
-        np.concatenate([part.errors_mm for part in parts]),
-        np.concatenate([part.axis_sd_mm for part in parts]),
-        np.concatenate([part.unfamiliar for part in parts]),
-        corrector.counts,
-    )
-    return np.concatenate([times for times, _ in done]), whole
+    def check_true(self) -> None:
+        """At the end, refuse (EstimatorError) those of another clock, unit or frame."""
+        if (true := self._true) is None:
+            return
+        if not self._seen:
+            raise EstimatorError(
+                f"{true.name}: none of {len(true.times_s)} true positions was measured within "
+                f"{_NEAR_S:g} s before a state: they are from {true.times_s[0]:.6g} to "
+                f"{true.times_s[-1]:.6g} s, on the states' clock?"
+            )
+        schema = self._guarded.model.schema
+        states, places = map(np.array, zip(*self._seen, strict=True))
+        reported = schema.position_mm(states)
+        check_units(true.name, places, reported)
+        pairs = Paired(places, reported, None, schema.joint_positions(states), schema.chain)
+        if (doubt := not_the_robot(replace(pairs, coupled=schema.coupled))) is not None:
+            raise EstimatorError(
+                f"{true.name}: {doubt}: true positions are of the reported point, in its base"
+            )
 
 
 def correct_file(
     states: Path,
     model: OnnxModel,
     out: Path,
-    zeroing: Zeroing | None = None,
-    follower: OffsetFollower | None = None,
+    zeroing: offsets.Zeroing | None = None,
+    follower: offsets.OffsetFollower | None = None,
     true: PoseTrack | None = None,
 ) -> dict[str, int]:
     """Correct recorded states (see `read_states`), and count what became of them.
@@ -196,12 +196,32 @@ def correct_file(
         writer: Any = None
         for table in read_states(states, model):
             reported = schema.position_mm(table.states)
-            rows = pa.table(_columns(table, corrector.correct(table), reported))
+            corrected = corrector.correct(table)
+            rows = pa.table(_columns(table, corrected, reported))
             if writer is None:
+                _refuse_other(states, model, table, corrected)
                 kind = csv.CSVWriter if out.suffix == ".csv" else parquet.ParquetWriter
                 writer = opened.enter_context(kind(out, rows.schema))
             writer.write_table(rows)
+    corrector.check_true()
     return corrector.counts
+
+
+def _refuse_other(path: Path, model: OnnxModel, table: StateTable, found: Corrected) -> None:
+    """Refuse (EstimatorError) states of another robot, or on a clock of another unit."""
+    schema, whole = model.schema, table.states[np.isfinite(table.states).all(axis=1)]
+    joints, reported = schema.joint_positions(whole), schema.position_mm(whole)
+    if found.unfamiliar.mean() > _MOST_UNFAMILIAR and (
+        doubt := chain_doubt(schema.chain, joints, reported)
+    ):
+        raise EstimatorError(f"{path}: its states are unlike the training, and {doubt}")
+    steps = np.diff(table.times_s)
+    usual_s = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if not model.facts["memoryless"] and 0 < _SPARSEST * model.period_s < usual_s:
+        raise EstimatorError(
+            f"{path}: a state every {usual_s:.3g} s, and this model learnt from one every "
+            f"{model.period_s:.3g} s: is the unit of the time right?"
+        )
 
 
 def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> dict[str, Any]:
@@ -218,33 +238,37 @@ def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> di
     }
 
 
-def follower_of(model: OnnxModel) -> OffsetFollower:
+def follower_of(model: OnnxModel) -> offsets.OffsetFollower:
     """What follows the offsets by true positions, as large as they were in training."""
     restarts_mm = model.facts.get("offset_sd_mm", 0.0)
-    return OffsetFollower(model.schema, _prior_sd_mm(model), restarts_mm)
+    return offsets.OffsetFollower(model.schema, _prior_sd_mm(model), restarts_mm)
 
 
 def _prior_sd_mm(model: OnnxModel) -> float:
     """Size of the offsets, learnt from the recordings of the training if there were several."""
-    return float(np.clip(model.facts.get("offset_sd_mm", PRIOR_SD_MM), *PRIOR_LIMITS_MM))
+    return float(
+        np.clip(model.facts.get("offset_sd_mm", offsets.PRIOR_SD_MM), *offsets.PRIOR_LIMITS_MM)
+    )
 
 
 def rezero(
-    model: OnnxModel, stretch: Dataset, monitor: DriftMonitor | None = None
-) -> tuple[Zeroing, DriftMonitor]:
+    model: OnnxModel, stretch: Dataset, monitor: offsets.DriftMonitor | None = None
+) -> tuple[offsets.Zeroing, offsets.DriftMonitor]:
     """The offsets after a restart, from a stretch measured then, and drift from its residuals."""
     estimates = model.predict(stretch)
     used = stretch.usable
     residuals = (stretch.errors_mm - estimates.errors_mm)[used]
-    zeroing = fit_zeroing(
+    zeroing = offsets.fit_zeroing(
         stretch.schema,
         stretch.states[used],
         residuals,
         prior_sd_mm=_prior_sd_mm(model),
         spread_sd=np.array(model.facts.get("joint_sd", [])),
     )
-    monitor = monitor or DriftMonitor()
-    stated = without_restarts(estimates.covariances[used], model.facts.get("offset_sd_mm", 0.0))
+    monitor = monitor or offsets.DriftMonitor()
+    stated = offsets.without_restarts(
+        estimates.covariances[used], model.facts.get("offset_sd_mm", 0.0)
+    )
     stated = stated + stretch.covariances[used] + zeroing.covariance
     left = residuals - zeroing.offset_mm(stretch.states[used])
     for residual, covariance in zip(left, stated, strict=True):
@@ -286,11 +310,14 @@ def robot_traces(
     unfamiliar = np.zeros(len(data), dtype=bool)
     if model is not None:
         model.check(schema)
-        times, corrected = correct(read_states(log, model), model)
-        at = np.searchsorted(times, data.times_s, side="right") - 1
+        corrector = Corrector(model)
+        done = [(table.times_s, corrector.correct(table)) for table in read_states(log, model)]
+        at = np.searchsorted(np.concatenate([t for t, _ in done]), data.times_s, side="right") - 1
         began = at >= 0
-        errors[began], sd[began] = corrected.errors_mm[at[began]], corrected.sd_mm[at[began]]
-        unfamiliar[began] = corrected.unfamiliar[at[began]]
+        errors[began], sd[began], unfamiliar[began] = (
+            np.concatenate([getattr(part, name) for _, part in done])[at[began]]
+            for name in ("errors_mm", "sd_mm", "unfamiliar")
+        )
     measured = reported + np.where(data.usable[:, None], data.errors_mm, np.nan)
     return RobotTraces(
         data.times_s - offset, measured, reported, reported + errors, sd, unfamiliar, offset

@@ -15,7 +15,7 @@ from measure.learning.assemble import PoseTrack, complete_states, interpolate
 from measure.learning.clock import estimate_offset
 from measure.learning.frame_fit import FRAMES, FrameFit, Sightings, fit_frames
 from measure.learning.frames import RobotFrame
-from measure.learning.labels import chain_doubt
+from measure.learning.labels import chain_doubt, check_turns
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.robots import SerialChain, StateLog
 from measure.robots.chain import TURNS, link_names
@@ -28,6 +28,7 @@ _LONGEST_GAP_S, _RATE_STEP_S = 0.05, 0.01
 _PATH_MM_PER_RAD = 100.0
 _SAME_CLOCK_S, _ROUNDS = 2e-4, 3
 _WRONG_CHAIN_MM = 5.0  # RMS left, most of it by links: no arm is built so badly
+_MOST_APART_DEG = 15.0  # RMS of rotations; slack and slipping drives of a wrist leave less
 _WEAK_MM, _WEAK_RAD = 2.0, float(np.deg2rad(0.3))  # SD from which a frame is told to be uncertain
 _NOT_SHOWN = 0.7  # share of its SD that a link's error keeps if the motion does not show it
 _BLOCKS = ("world_from_base", "flange_from_body")
@@ -69,6 +70,7 @@ def register(recordings: Sequence[Recording], options: RegisterOptions) -> Robot
     """
     clock_offset_s, kinematics = options.clock_offset_s, options.kinematics
     schema, given = recordings[0].log.schema, clock_offset_s is not None
+    names = [r.track.name for r in recordings]
     _refuse_unfit(recordings, kinematics)
     clocks = np.array(
         [
@@ -79,13 +81,15 @@ def register(recordings: Sequence[Recording], options: RegisterOptions) -> Robot
     for _ in range(_ROUNDS):
         seen = _sightings(recordings, clocks, given)
         _refuse_poor(seen, schema.robot)
+        if seen.chain:
+            turns = seen.poses.world_from_body.rotation, seen.chain.pose(seen.joints).rotation
+            check_turns(" and ".join(names), *turns, most_deg=_MOST_APART_DEG)
         fit = fit_frames(seen, kinematics=kinematics)
         clocks = clocks + fit.clocks_s
         if np.abs(fit.clocks_s).max() < _SAME_CLOCK_S:
             break
     if schema.chain and not kinematics:
         _refuse_wrong(fit, seen, schema.chain)
-    names = [r.track.name for r in recordings]
     covariance, order = _in_file(fit, names, schema.chain if kinematics else None)
     return RobotFrame(
         schema.robot,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,10 +60,6 @@ class EstimatorEvaluation:
     by_trajectory: dict[str, tuple[Score, Score]]  # name -> (before, after)
     # (slowest mm/s, fastest mm/s, before, after).
     by_speed: tuple[tuple[float, float, Score, Score], ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for a card or JSON."""
-        return asdict(self)
 
 
 def evaluate(data: Dataset, estimates: Estimates) -> EstimatorEvaluation:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -86,28 +86,6 @@ def split_as_trained(data: Dataset, model: OnnxModel) -> Split:
     return Split(*parts)
 
 
-def split_by_rows(
-    data: Dataset, *, test: float = 0.1, validation: float = 0.1, seed: int = 0
-) -> Split:
-    """Random rows: what not to do, kept for the experiment that shows why.
-
-    Every part keeps all trajectories' rows (history stays whole); they differ in what is usable.
-    Trajectories are renamed, or fitting would refuse such a split.
-    """
-    _check_shares(test, validation)
-    dice = np.random.default_rng(seed).random(len(data))
-    masks = (dice >= test + validation, (dice >= test) & (dice < test + validation), dice < test)
-    parts = [
-        replace(
-            data,
-            usable=data.usable & mask,
-            names=tuple(f"{name} ({what} rows)" for name in data.names),
-        )
-        for mask, what in zip(masks, ("training", "validation", "test"), strict=True)
-    ]
-    return Split(*parts)
-
-
 def _check_shares(test: float, validation: float) -> None:
     if not (test > 0 and validation > 0 and test + validation < 1):
         raise EstimatorError(
@@ -143,8 +121,8 @@ def same_robot(parts: Sequence[Dataset]) -> None:
         raise EstimatorError(
             f"data of several robots cannot be used together: {', '.join(sorted(robots))}"
         )
-    if any(part.schema.names != parts[0].schema.names for part in parts):
+    if not all(part.schema.means(parts[0].schema) for part in parts):
         raise EstimatorError(
-            f"data of robot '{parts[0].schema.robot}' with other features, or in another order, "
+            f"data of robot '{parts[0].schema.robot}' with other features, units or kinematics "
             "cannot be used together: make all of them with one description of the robot"
         )

@@ -87,7 +87,7 @@ def _save(estimator: Estimator, split: Split, out: Path, card: dict[str, Any]) -
     model = OnnxModel.load(out)
     estimates = model.predict(split.test)
     evaluation = evaluate(split.test, estimates)
-    card |= {"scores": evaluation.to_dict()}
+    card |= {"scores": asdict(evaluation)}
     _write(estimator, out, card)  # the same network, now with its scores inside
     features = [[feature.name, feature.unit] for feature in split.train.schema.features]
     said = contract(len(model.features), model.memory_size, model.period_s)

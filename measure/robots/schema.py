@@ -113,6 +113,20 @@ class StateSchema:
         """Joint positions (..., joints) in rad and mm."""
         return self.read(states, self.joints)
 
+    def means(self, other: StateSchema) -> bool:
+        """Whether another describes the robot alike: units, readings, chain; not how logs do."""
+        ours, theirs = self._numbers(), other._numbers()
+        same = self.features == other.features and ours.shape == theirs.shape
+        return same and bool(np.allclose(ours, theirs))
+
+    def _numbers(self) -> Floats:
+        """All that makes position, joints and kinematics of the features, in a row."""
+        links = self.chain.joints if self.chain else ()
+        tool = [self.chain.tool] if self.chain else []
+        read = self.reading_matrix((*self.position, *self.joints))
+        parts = [read, *tool, *(m for j in links for m in (j.link, j.axis))]
+        return np.concatenate([part.ravel() for part in parts])
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values that JSON can hold; `from_dict` turns them back."""
         chain = self.chain and {

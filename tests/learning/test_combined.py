@@ -114,6 +114,19 @@ def test_one_file_by_the_command_line_that_names_both(
     server.close()
     assert not isinstance(answer, str)
     assert answer.error_mm[0] > expected[2, 0] + 0.3
+    # Homed otherwise, it finds the zeros.
+    chain, today = states.schema.chain, days[5]
+    assert chain is not None
+    q = today.schema.joint_positions(today.states)
+    off = chain.tip_mm(q + np.deg2rad([0.1, -0.08, 0.1, 0.1, 0.1, 0.0])) - chain.tip_mm(q)
+    path = str(tmp_path / "today.parquet")
+    files.write_dataset(Path(path), replace(today, errors_mm=today.errors_mm + off), [], "today")
+    left = []
+    for more in ([], ["--rezero", path]):
+        assert main(["estimate", model, "--input", path, "--out", out, "--overwrite", *more]) == 0
+        found = np.loadtxt(out, delimiter=",", skiprows=1, usecols=(3, 4, 5))
+        left.append(np.linalg.norm(today.errors_mm + off - found, axis=1).mean())
+    assert left[1] < 0.5 * left[0]
     # A part that it names is fitted again where one asks what its inputs are worth.
     capsys.readouterr()
     assert main(["ablate", data, model, "--remove", "--json"]) == 0

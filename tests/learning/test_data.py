@@ -10,7 +10,7 @@ import pytest
 
 from measure.errors import EstimatorError
 from measure.host import Dataset
-from measure.learning import files, join, same_robot, split_by_rows, split_by_trajectory
+from measure.learning import files, join, same_robot, split_by_trajectory
 from measure.robots import find_schema
 
 
@@ -82,7 +82,7 @@ def test_files_that_are_no_data_sets(small: Dataset, tmp_path: Path) -> None:
     for use in (join, same_robot):
         with pytest.raises(EstimatorError, match="several robots"):
             use([small, stranger])
-        with pytest.raises(EstimatorError, match="with other features, or in another order"):
+        with pytest.raises(EstimatorError, match="with other features, units or kinematics"):
             use([small, other])
 
 
@@ -106,10 +106,3 @@ def test_a_split_shares_no_trajectory(small: Dataset) -> None:
 def test_one_trajectory_cannot_be_split(small: Dataset) -> None:
     with pytest.raises(EstimatorError, match="1 trajectory cannot be split"):
         split_by_trajectory(small.select(small.names[:1]))
-
-
-def test_random_rows_leave_every_trajectory_in_every_part(small: Dataset) -> None:
-    split = split_by_rows(small, seed=0)
-    total = sum(part.usable.sum() for part in (split.train, split.validation, split.test))
-    assert total == small.usable.sum()
-    assert len(split.test) == len(small)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from measure.errors import DivergedError, EstimatorError
 from measure.host import Estimator, OnnxModel, Registry
 from measure.host.estimator import quiet
 from measure.learning import Score, Split, evaluate
-from measure.robots import StateSchema
+from measure.robots import Reading, StateSchema
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
@@ -155,3 +156,17 @@ def test_bad_data_and_files_are_refused(
     fewer = StateSchema(schema.robot, schema.features[:-2], schema.position)
     with pytest.raises(EstimatorError, match="missing: jac_f_4, jac_f_5"):
         model.check(fewer)
+    chain = schema.chain
+    assert chain is not None
+    moved, rounded = chain.tool.copy(), chain.tool.copy()
+    moved[2, 3] += 5.0
+    rounded[2, 3] *= 1 + 1e-15  # as another processor computes it
+    model.check(replace(schema, chain=replace(chain, tool=rounded)))
+    for another in (
+        {"features": tuple(replace(f, unit="deg") for f in schema.features)},
+        {"joints": tuple(Reading.of(r.terms[0][0], 0.1) for r in schema.joints)},
+        {"chain": replace(chain, tool=moved)},
+        {"chain": None},
+    ):
+        with pytest.raises(EstimatorError, match="another description of robot 'raven2-left'"):
+            model.check(replace(schema, **another))  # type: ignore[arg-type]

@@ -158,6 +158,18 @@ def test_wrong_kinematics_are_named() -> None:
         register([Recording(one.track, one.log)], RegisterOptions())
 
 
+def test_joints_that_are_not_those_of_the_poses_are_refused() -> None:
+    """Of another order, the clock given: it ended in an unexplained error of linear algebra."""
+    one = recorded(3, **SHORT)
+    q = one.log.states[:, [2, 1, 0, 3, 4, 5]]
+    log = replace(one.log, states=np.concatenate([q, ur5e().tip_mm(q)], axis=1))
+    given = RegisterOptions(clock_offset_s=one.clock_offset_s)
+    with pytest.raises(
+        EstimatorError, match=r"\d\d\.\d deg .RMS. from those of the joints, whatever"
+    ):
+        register([Recording(one.track, log)], given)
+
+
 def test_a_simulated_raven_says_what_it_cannot_separate() -> None:
     """Labels by the fitted frame are smaller than by the true one: it takes the constant part."""
     run = simulate(40.0, 5, log_hz=100.0)

@@ -93,6 +93,22 @@ def test_correction_brings_reported_nearer_to_measured(stored):
     assert rms[1] < 0.6 * rms[0]
 
 
+def test_a_model_of_a_pair_corrects_as_well(folder: Path, tmp_path: Path):
+    log, model, out = folder / "robot.parquet", tmp_path / "pair.onnx", tmp_path / "out.csv"
+    data = ["dataset", "--simulate-min", "2", "--restarts", "3", "-o", str(tmp_path / "d.parquet")]
+    pair = ["--estimator", "ridge after kinematic", "--folds", "0", "-o", str(model)]
+    assert main(data) == 0
+    assert main(["train", str(tmp_path / "d.parquet"), *pair]) == 0
+    assert main(["estimate", str(model), "--input", str(log), "-o", str(out)]) == 0
+    path = api.robot_recording(folder / "run", "raven", log, model)
+    drawn = column(read_recording(path)[entities.robot("corrected")], "Points3D:positions")
+    places = np.array([p[0] for p in drawn.values() if p])
+    every = np.loadtxt(out, delimiter=",", skiprows=1, usecols=(8, 9, 10))
+    assert len(places) > 0.9 * SECONDS * FRAME_HZ
+    # Each correction is one of the log's, at a position between two of its states.
+    assert np.median(np.linalg.norm(places[:, None] - every, axis=2).min(axis=1)) < 0.5
+
+
 def test_the_times_are_the_cameras(stored, folder: Path):
     poses = (folder / "run" / "poses.csv").read_text().splitlines()[1:]
     by_frame = {int(line.split(",")[0]): float(line.split(",")[1]) for line in poses}
