@@ -46,7 +46,13 @@ from measure.api.marks import TYPED
 from measure.api.measuring import measure_bodies, measure_session
 from measure.api.metrology import RestsSoFar, TipResult, pivot, rests, world, world_by_board
 from measure.api.outputs import new_folder, output
-from measure.api.pairing import make_dataset, register, simulate_dataset, simulate_recording
+from measure.api.pairing import (
+    SimulationOptions,
+    make_dataset,
+    register,
+    simulate_dataset,
+    simulate_recording,
+)
 from measure.api.playing import PlayEnd, PlayOptions, play
 from measure.api.previewing import (
     BallWatch,
@@ -93,10 +99,10 @@ __all__ = [
     "Demo", "DeviceControls", "FoundBody", "FoundCamera", "Lens", "LiveEnd", "LiveOptions",
     "LiveState", "Mark", "MarkKind", "Marking", "Measurement", "Mode", "Outcome", "PictureFacts",
     "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry",
-    "RestsSoFar", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "SweepOptions",
-    "SyncedClock", "TipResult", "TrainOptions", "WatchedCamera", "WaveState", "ablate", "accept",
-    "begin_marks", "body_names", "build_pipeline", "calibrate", "calibrate_to", "camera_names",
-    "cameras", "capture_board", "check", "choose", "compare", "contents_of",
+    "RestsSoFar", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "SimulationOptions",
+    "SweepOptions", "SyncedClock", "TipResult", "TrainOptions", "WatchedCamera", "WaveState",
+    "ablate", "accept", "begin_marks", "body_names", "build_pipeline", "calibrate", "calibrate_to",
+    "camera_names", "cameras", "capture_board", "check", "choose", "compare", "contents_of",
     "correct_simulated_robot", "demo", "detect", "draw", "draw_target", "drawings", "estimate_file",
     "estimate_online", "evaluate", "evaluation_tables", "events", "export", "find_body", "inside",
     "live", "load_profile", "make_dataset", "mark_event", "measure_bodies", "measure_session",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -133,47 +133,53 @@ def _labelled(tables: Sequence[Path], schema: StateSchema, as_it_is: bool) -> Da
     return data
 
 
+@dataclass(frozen=True)
+class SimulationOptions:
+    """A data set of the simulated robot.
+
+    Attributes:
+        simulate_min: instead of runs, so many minutes of the simulated RAVEN-II.
+        pairs: simulated: pairs of state and pose; the paper's rate (353 a minute) if absent.
+        restarts: simulated: sessions, each after a restart.
+        seed: simulated: of motion, restarts and noise.
+        wear: simulated: slack and friction relative to new cables.
+        exact: simulated: labels of the true tip at the true time, to judge by.
+    """
+
+    simulate_min: float | None = None
+    pairs: int | None = None
+    restarts: int = 4
+    seed: int = 1
+    wear: float = 1.0
+    exact: bool = False
+
+
 def simulate_dataset(
-    out: Path,
-    *,
-    minutes: float,
-    pairs: int | None,
-    restarts: int,
-    seed: int,
-    wear: float,
-    exact: bool,
-    report: Report,
+    out: Path, options: SimulationOptions, report: Report
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
-    """A data set of the simulated RAVEN-II, written to `out`; pairs at the paper's rate if omitted.
+    """Write a data set of the simulated RAVEN-II to `out`.
 
-    Its labels are measured with noise on a clock that must be found, or `exact`.
-
-    Raises:
-        ConfigError: a length, a count, a seed or a wear that makes no data.
-        EstimatorError: the name of `out` is not a data set's.
+    Its labels are measured with noise on a clock that must be found, or exact. ConfigError: a
+    length, a count, a seed or a wear that makes no data; EstimatorError: no data set's name.
     """
     from measure.learning import PAPER_MINUTES, PAPER_PAIRS, files, simulated_dataset
 
     _check_name(out)
-    check_seeds(seed=seed)
+    o, minutes = options, options.simulate_min or 0.0
+    check_seeds(seed=o.seed)
     rate = PAPER_PAIRS / PAPER_MINUTES
-    count = (pairs or round(rate * minutes)) if 0 < minutes < math.inf else 0
-    if not (count > 0 and restarts > 0):
+    count = (o.pairs or round(rate * minutes)) if 0 < minutes < math.inf else 0
+    if not (count > 0 and o.restarts > 0):
         raise ConfigError(
-            f"--simulate-min {minutes:g} --pairs {count} --restarts {restarts}: expected positive "
-            "numbers"
+            f"--simulate-min {minutes:g} --pairs {count} --restarts {o.restarts}: expected "
+            "positive numbers"
         )
     data, facts = simulated_dataset(
-        minutes=minutes,
-        pairs=count,
-        restarts=restarts,
-        seed=seed,
-        cables=Cables(wear=wear),
-        exact=exact,
-        report=report,
-    )
-    source = f"simulated RAVEN-II, {minutes:g} min, {restarts} restarts, seed {seed}, wear {wear:g}"
-    source += ", true positions" if exact else ""
+        minutes=minutes, pairs=count, restarts=o.restarts, seed=o.seed, exact=o.exact,
+        cables=Cables(wear=o.wear), report=report,
+    )  # fmt: skip
+    source = f"simulated RAVEN-II, {minutes:g} min, {o.restarts} restarts, seed {o.seed}, "
+    source += f"wear {o.wear:g}{', true positions' if o.exact else ''}"
     files.write_dataset(out, data, facts, source)
     return data, facts
 

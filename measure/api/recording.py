@@ -12,17 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
+from measure import capture
 from measure.api.outputs import check_folder, new_folder
-from measure.capture import (
-    CameraAddress,
-    CameraCount,
-    Cameras,
-    Outage,
-    Recorder,
-    bus_notes,
-    check_names,
-    find_devices,
-)
 from measure.capture.controls import ControlRecord, watched
 from measure.capture.sources import Source
 from measure.errors import ConfigError
@@ -60,7 +51,7 @@ class CaptureOptions:
     overwrite: bool = False  # replace what is there
     on_image: Callable[[Image], None] | None = None  # gets every picture, from its camera's thread
     # called, from another thread, when a camera is away, and when it is back.
-    on_outage: Callable[[Outage], None] | None = None
+    on_outage: Callable[[capture.Outage], None] | None = None
     stop: threading.Event | None = None  # set to end it; interrupts set it, too
 
     def check(self) -> None:
@@ -73,7 +64,7 @@ class CaptureOptions:
 class OpenRig:
     """Cameras that deliver."""
 
-    cameras: Cameras
+    cameras: capture.Cameras
     controls: ControlRecord
     stop: threading.Event
     options: CaptureOptions
@@ -99,7 +90,7 @@ def open_rig(
     """Open cameras until the block ends; nothing is lost yet if that is interrupted."""
     lock = options.request is not None and options.request.lock
     with (
-        Cameras(sources, sizes_of(calibrated), options.on_outage) as rig,
+        capture.Cameras(sources, sizes_of(calibrated), options.on_outage) as rig,
         watched(rig.controls, lock) as controls,
         until_stopped(options.stop) as stop,
     ):
@@ -111,19 +102,19 @@ class RecordedSession:
     """A recording that has ended."""
 
     session: Path
-    cameras: Mapping[str, CameraCount]
+    cameras: Mapping[str, capture.CameraCount]
     changes: tuple[str, ...] = ()  # a sentence for each control of a camera that changed meanwhile
 
 
 def record(
-    cameras: Sequence[CameraAddress],
+    cameras: Sequence[capture.CameraAddress],
     out: Path,
     options: CaptureOptions | None = None,
     *,
     calibration: Path | None = None,
     bodies: Sequence[Path] = (),
     reference: str = "",
-    on_state: Callable[[Mapping[str, CameraCount]], None] = lambda _: None,
+    on_state: Callable[[Mapping[str, capture.CameraCount]], None] = lambda _: None,
 ) -> RecordedSession:
     """Record cameras into a session folder for a time, or until the process is interrupted.
 
@@ -144,7 +135,7 @@ def record(
     options = options or CaptureOptions()
     options.check()
     check_folder(out, options.overwrite, SESSION)
-    check_names([one.name for one in cameras])
+    capture.check_names([one.name for one in cameras])
     calibrated = calibrated_cameras(cameras, calibration)
     measured = [read_body(body) for body in bodies]
     if measured:
@@ -165,11 +156,11 @@ def record(
 
 def new_recorder(
     out: Path, opened: OpenRig, bodies: Sequence[Body], cameras: Sequence[Camera], reference: str
-) -> Recorder:
+) -> capture.Recorder:
     """Begin a recording; one that is replaced is gone when this one has begun."""
     addresses, settings = opened.cameras.addresses, opened.controls.settings
     with new_folder(out, opened.options.overwrite, SESSION):
-        return Recorder(out, addresses, bodies, cameras, reference, settings)
+        return capture.Recorder(out, addresses, bodies, cameras, reference, settings)
 
 
 def check_apart(record: Path, out: Path) -> None:
@@ -181,7 +172,9 @@ def check_apart(record: Path, out: Path) -> None:
         )
 
 
-def calibrated_cameras(cameras: Sequence[CameraAddress], calibration: Path | None) -> list[Camera]:
+def calibrated_cameras(
+    cameras: Sequence[capture.CameraAddress], calibration: Path | None
+) -> list[Camera]:
     """The calibrations of cameras, in their order; none without a file.
 
     Raises:
@@ -203,7 +196,9 @@ def sizes_of(cameras: Sequence[Camera]) -> dict[str, tuple[int, int]]:
 
 
 def sources_of(
-    cameras: Sequence[CameraAddress], calibrated: Sequence[Camera], request: CaptureRequest | None
+    cameras: Sequence[capture.CameraAddress],
+    calibrated: Sequence[Camera],
+    request: CaptureRequest | None,
 ) -> dict[str, Source]:
     """What delivers each camera's pictures; nothing is opened yet.
 
@@ -232,17 +227,19 @@ def sources_of(
 
 
 def usb_notes(
-    cameras: Sequence[CameraAddress], calibration: Path | None, request: CaptureRequest
+    cameras: Sequence[capture.CameraAddress], calibration: Path | None, request: CaptureRequest
 ) -> list[str]:
     """What a USB bus cannot carry of what is asked of cameras on it, with what would fit."""
     places = {one.name: Path(one.device).resolve() for one in cameras if one.is_device}
     if not places:
         return []
-    there = {Path(one.path): one for one in find_devices()}
+    there = {Path(one.path): one for one in capture.find_devices()}
     known = {name: there[place] for name, place in places.items() if place in there}
     sizes = sizes_of(calibrated_cameras(cameras, calibration))
     asked = {name: request.size_wh or sizes.get(name) for name in known}
-    return bus_notes(known, {name: size for name, size in asked.items() if size}, request.rate_hz)
+    return capture.bus_notes(
+        known, {name: size for name, size in asked.items() if size}, request.rate_hz
+    )
 
 
 def parse_controls(texts: Iterable[str]) -> dict[str, dict[str, str]]:

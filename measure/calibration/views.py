@@ -10,14 +10,7 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats, rms_length
-from measure.calibration.boards import (
-    Board,
-    Charuco,
-    Corners,
-    MirroredBoardError,
-    aruco_dictionary,
-    mapped,
-)
+from measure.calibration import boards
 from measure.errors import CalibrationError
 
 _FAMILIES = (
@@ -30,9 +23,9 @@ _SMALLER = (50, 100, 250)
 _LEAST_MARKERS = 4
 
 
-def charuco_slip(board: Board, grays: Sequence[Bytes]) -> str:
+def charuco_slip(board: boards.Board, grays: Sequence[Bytes]) -> str:
     """What a board's file must say instead, by pictures (h, w) none of which shows it; else ""."""
-    if not isinstance(board, Charuco):
+    if not isinstance(board, boards.Charuco):
         return ""
     own = next(name for name in _FAMILIES if _is_of(board.dictionary, name))
     seen = _families_seen(grays, [own], board.inverted)
@@ -53,7 +46,7 @@ def charuco_slip(board: Board, grays: Sequence[Bytes]) -> str:
         tried = replace(board, inner_corners=inner, legacy=legacy, inverted=inverted)
         tried = replace(tried, dictionary=dictionary)
         columns, rows = tried.squares
-        fits = columns * rows // 2 <= len(aruco_dictionary(dictionary).bytesList)
+        fits = columns * rows // 2 <= len(boards.aruco_dictionary(dictionary).bytesList)
         if fits and any(_is_seen(tried, gray) for gray in grays):
             return f"the pictures show another one: write {_difference(board, tried)}"
     return (
@@ -70,7 +63,7 @@ def _families_seen(
     grays: Sequence[Bytes], families: Sequence[str], inverted: bool
 ) -> list[tuple[int, str, bool, int]]:
     """How many markers of which family, printed inverted or not, are seen, up to which number."""
-    kinds = list(map(aruco_dictionary, families))
+    kinds = list(map(boards.aruco_dictionary, families))
     detector = cv2.aruco.ArucoDetector(kinds)
     ids: list[list[int]] = [[] for _ in families]
     for gray in grays:
@@ -86,14 +79,14 @@ def _families_seen(
     ]
 
 
-def _is_seen(board: Charuco, gray: Bytes) -> bool:
+def _is_seen(board: boards.Charuco, gray: Bytes) -> bool:
     try:
         return board.find(gray) is not None
-    except MirroredBoardError:
+    except boards.MirroredBoardError:
         return False
 
 
-def _difference(board: Charuco, other: Charuco) -> str:
+def _difference(board: boards.Charuco, other: boards.Charuco) -> str:
     """The TOML that makes one of the other."""
     changed = []
     for key in (field.name for field in fields(board)):
@@ -121,7 +114,7 @@ class ViewSet:
     """The views a lens is calibrated from."""
 
     size_wh: tuple[int, int]  # of the images, px
-    views: tuple[Corners, ...]
+    views: tuple[boards.Corners, ...]
     left_out: dict[str, str]  # reasons, by name of picture
     # how many pictures showed the board mirrored, or its back: they serve the lens, but a camera in
     # mirror mode must not be located.
@@ -146,10 +139,10 @@ class ViewSet:
 
 
 def find_views(
-    board: Board, pictures: Iterable[tuple[str, Bytes]], camera: str, limit: int = MAX_VIEWS
+    board: boards.Board, pictures: Iterable[tuple[str, Bytes]], camera: str, limit: int = MAX_VIEWS
 ) -> ViewSet:
     """Find the board in pictures (name and BGR pixels) of one size, and choose different views."""
-    seen: list[Corners] = []
+    seen: list[boards.Corners] = []
     left_out: dict[str, str] = {}
     size: tuple[int, int] | None = None
     mirrored = 0
@@ -163,7 +156,7 @@ def find_views(
         gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
         try:
             corners = board.find(gray, name)
-        except MirroredBoardError as problem:
+        except boards.MirroredBoardError as problem:
             corners = problem.corners
             mirrored += 1
         if corners is None:
@@ -185,8 +178,8 @@ def find_views(
 
 
 def choose_views(
-    board: Board,
-    seen: list[Corners],
+    board: boards.Board,
+    seen: list[boards.Corners],
     size_wh: tuple[int, int],
     camera: str,
     left_out: dict[str, str] | None = None,
@@ -221,7 +214,9 @@ def choose_views(
     return ViewSet(size_wh, tuple(sharp[i] for i in sorted(chosen)), left_out)
 
 
-def _different(board: Board, views: list[Corners], least_px: float, limit: int) -> list[int]:
+def _different(
+    board: boards.Board, views: list[boards.Corners], least_px: float, limit: int
+) -> list[int]:
     """Numbers of views, each as different as can be, and by `least_px`, from those before it."""
     outlines = [outline(board, view) for view in views]
     chosen = [int(np.argmax([len(view.ids) for view in views]))]
@@ -236,9 +231,9 @@ def _different(board: Board, views: list[Corners], least_px: float, limit: int) 
     return chosen
 
 
-def outline(board: Board, view: Corners) -> Floats:
+def outline(board: boards.Board, view: boards.Corners) -> Floats:
     """Where the board's four outer corners would appear (4, 2), by the view's homography."""
     flat = board.points[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
     rectangle = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    return mapped(flat[view.ids], view.pixels, rectangle)
+    return boards.mapped(flat[view.ids], view.pixels, rectangle)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
-
-from cyclopts import Parameter
 
 from measure import api
 from measure.cli import console
@@ -16,28 +13,6 @@ from measure.errors import ConfigError
 from measure.host import Dataset
 from measure.learning import AssemblySettings, TrajectoryFacts
 from measure.learning.labels import LabelFacts
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _SimulationOptions:
-    """The simulated robot; its fields but the first go to `measure.api.simulate_dataset`.
-
-    Attributes:
-        simulate_min: instead of runs, so many minutes of the simulated RAVEN-II.
-        pairs: simulated: pairs of state and pose; the paper's rate (353 a minute) if absent.
-        restarts: simulated: sessions, each after a restart.
-        seed: simulated: of motion, restarts and noise.
-        wear: simulated: slack and friction relative to new cables.
-        exact: simulated: labels of the true tip at the true time, to judge by.
-    """
-
-    simulate_min: float | None = None
-    pairs: int | None = None
-    restarts: int = 4
-    seed: int = 1
-    wear: float = 1.0
-    exact: Annotated[bool, Parameter(negative="")] = False
 
 
 def dataset(
@@ -50,7 +25,7 @@ def dataset(
     restart_name: tuple[str, ...] = (),
     source: RobotOptions = RobotOptions(),
     assembly: Annotated[AssemblySettings, FIELDS] = AssemblySettings(),
-    simulation: _SimulationOptions = _SimulationOptions(),
+    simulation: Annotated[api.SimulationOptions, FIELDS] = api.SimulationOptions(),
     json: JsonFlag = False,
 ) -> None:
     """Pair a robot's states with measured position errors.
@@ -72,7 +47,8 @@ def dataset(
     read = (*runs, *logs, Path(robot), *([frame] if frame else []))
     with api.output(out, overwrite, read, [".card.json"]) as file:
         if not runs:
-            data, facts = _simulated(file, simulation)
+            with console.progress("simulating", unit="per mille") as report:
+                data, facts = api.simulate_dataset(file, simulation, shares(report))
         else:
             data, facts = api.make_dataset(
                 runs, logs, robot, file, assembly, topic=topic, frame=frame, restarts=restart_name
@@ -84,13 +60,6 @@ def dataset(
     else:
         _conclude(data, facts, assembly.clock_offset_s, out)
         _tell_labels(labels)
-
-
-def _simulated(out: Path, simulation: _SimulationOptions) -> tuple[Dataset, list[TrajectoryFacts]]:
-    options = asdict(simulation)
-    minutes = options.pop("simulate_min")
-    with console.progress("simulating", unit="per mille") as report:
-        return api.simulate_dataset(out, minutes=minutes, report=shares(report), **options)
 
 
 _COLUMNS = ("recording", "rows", "usable", "not measured", "no state", "outliers", "uncertain")

@@ -16,11 +16,7 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.model import Camera, Intrinsics
 from measure.reading import parse_toml, read_text
-from measure.session.calibration_file import (
-    Calibration,
-    read_own_calibration,
-    write_own_calibration,
-)
+from measure.session import calibration_file
 from measure.session.files import dump_toml
 from measure.session.interchange_tables import is_foreign_toml, read_tables
 from measure.session.interchange_xml import read_xml
@@ -43,7 +39,7 @@ METRES_SPREAD_MM = 3.0
 
 def read_calibration(
     path: Path | str, unit: Unit | None = None, pictures: Sizes | None = None
-) -> Calibration:
+) -> calibration_file.Calibration:
     """Read a calibration: ours or another program's, told apart by content.
 
     For files of other programs: the unit of their translations, if they state none; and names of
@@ -55,7 +51,7 @@ def read_calibration(
     text = read_text(path, CalibrationError)
     stated = _foreign(path, text)
     if stated is None:
-        calibration = read_own_calibration(path)
+        calibration = calibration_file.read_own_calibration(path)
     else:
         calibration = stated.calibration(path, unit, pictures or {})
     check_calibration(calibration, str(path))
@@ -86,7 +82,7 @@ def _foreign(path: Path, text: str) -> StatedRig | None:
 
 
 def write_calibration(
-    path: Path | str, calibration: Calibration, file_format: Format = "triball"
+    path: Path | str, calibration: calibration_file.Calibration, file_format: Format = "triball"
 ) -> None:
     """Write a calibration; only our own format holds covariances, shutters and provenance.
 
@@ -107,7 +103,7 @@ def write_calibration(
                 ", ".join(names),
             )
     writers = {
-        "triball": write_own_calibration,
+        "triball": calibration_file.write_own_calibration,
         "anipose": write_anipose,
         "caliscope": write_caliscope,
         "opencv": write_opencv,
@@ -115,7 +111,7 @@ def write_calibration(
     writers[file_format](Path(path), calibration)
 
 
-def check_calibration(calibration: Calibration, source: str) -> None:
+def check_calibration(calibration: calibration_file.Calibration, source: str) -> None:
     """Refuse (CalibrationError) what cannot be right.
 
     No camera, two of one name, a lens that there cannot be, or all so close together that their
@@ -168,7 +164,7 @@ def _is_a_lens(lens: Intrinsics) -> bool:
     return bool(np.all(moved < _SAME_PX) and np.all(bent < _MAX_DISTORTION_RATIO))
 
 
-def write_anipose(path: Path, calibration: Calibration) -> None:
+def write_anipose(path: Path, calibration: calibration_file.Calibration) -> None:
     """Write aniposelib's TOML, in mm."""
     tables: dict[str, Any] = {
         f"cam_{i}": {"name": camera.name, **_foreign_values(camera, "mm")}
@@ -180,7 +176,7 @@ def write_anipose(path: Path, calibration: Calibration) -> None:
     path.write_text(dump_toml(tables), encoding="utf-8")
 
 
-def write_caliscope(path: Path, calibration: Calibration) -> None:
+def write_caliscope(path: Path, calibration: calibration_file.Calibration) -> None:
     """Write caliscope's `camera_array.toml`, in metres."""
     tables = {
         str(i): {
@@ -195,7 +191,7 @@ def write_caliscope(path: Path, calibration: Calibration) -> None:
     path.write_text(dump_toml({"cameras": tables}), encoding="utf-8")
 
 
-def write_opencv(path: Path, calibration: Calibration) -> None:
+def write_opencv(path: Path, calibration: calibration_file.Calibration) -> None:
     """Write OpenCV YAML, XML or JSON, as the name ends; poses are camera_from_world in mm."""
     out = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     if not out.isOpened():

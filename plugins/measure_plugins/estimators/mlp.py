@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import field_validator
@@ -23,9 +23,6 @@ class MlpSettings(host.Settings):
     """
 
     layers: tuple[int, ...] = host.setting((600, 500, 400), "Units of each hidden layer.")
-    activation: Literal["sigmoid", "elu", "relu"] = host.setting(
-        "sigmoid", "Activation function of the hidden layers."
-    )
     learning_rate: float = host.setting(
         1e-2, "Learning rate of Adam at the peak of its one cycle; the paper states 1e-8.", gt=0
     )
@@ -37,7 +34,6 @@ class MlpSettings(host.Settings):
     )
     batch: int = host.setting(1024, "Number of rows of a batch.", ge=2)
     l1: float = host.setting(2e-4, "L1 penalty on the weights; the paper's is 5e-6.", ge=0)
-    loss: Literal["mse", "mae"] = host.setting("mse", "Loss: mean squared or mean absolute error.")
 
     @field_validator("layers")
     @classmethod
@@ -80,24 +76,18 @@ class MlpEstimator(host.OnnxEstimator):
         self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
     ) -> host.Core:
         """Dense layers; batch normalisation is folded into them."""
-        kinds = {"sigmoid": "Sigmoid", "elu": "Elu", "relu": "Relu"}
         x = self._scaling.in_graph(graph, features)
         for index, (weight, bias) in enumerate(self._layers):
             x = graph.op("Gemm", x, weight, bias)
             if index < len(self._layers) - 1:
-                x = graph.op(kinds[self.config.activation], x)
+                x = graph.op("Sigmoid", x)
         return host.Core(x)
 
 
 def _network(torch: Any, inputs: int, config: MlpSettings) -> Any:
-    kinds = {"sigmoid": torch.nn.Sigmoid, "elu": torch.nn.ELU, "relu": torch.nn.ReLU}
     parts, width = [], inputs
     for units in config.layers:
-        parts += [
-            torch.nn.Linear(width, units),
-            kinds[config.activation](),
-            torch.nn.BatchNorm1d(units),
-        ]
+        parts += [torch.nn.Linear(width, units), torch.nn.Sigmoid(), torch.nn.BatchNorm1d(units)]
         width = units
     return torch.nn.Sequential(*parts, torch.nn.Linear(width, 3))
 
@@ -152,8 +142,7 @@ class _MlpTraining:
         x, y, w = self._rows
         residual = self._net(x[picked]) - y[picked]
         squares = (residual**2).sum(dim=1)
-        each = squares if self._config.loss == "mse" else residual.abs().sum(dim=1)
-        loss = (w[picked] * each).mean()
+        loss = (w[picked] * squares).mean()
         if self._config.l1:
             matrices = [p for p in self._net.parameters() if p.ndim > 1]
             loss = loss + self._config.l1 * sum(p.abs().sum() for p in matrices)
