@@ -80,6 +80,8 @@ def estimate(
             path, input_, file, zeroing, true_positions=true_positions, on_drift=console.note
         )
     _conclude(counts, json, f"written to {out}")
+    if 2 * counts["unfamiliar"] > counts["corrected"]:
+        console.note("most states are unlike the training: is this the robot that it learnt from?")
 
 
 def _zeroing(model: Path, stretch: Path) -> Zeroing:

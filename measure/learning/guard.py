@@ -19,6 +19,7 @@ _JITTER_S = 1.0  # Largest step back of a stamp that is jitter, not a clock that
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 """Largest value of a feature: networks compute in float32."""
 _REMEMBERED = 4096  # Corrected states whose true positions may still come
+_FAR_MM = 100.0  # No robot errs by so much: a true position in other units or another frame
 _MAX_PAUSE_S = 1000.0
 """Largest step ahead of a stamp; a longer one needs a second stamp that confirms it."""
 
@@ -33,6 +34,7 @@ class Refusal(StrEnum):
     STALE = "stamp not after the last one"
     LEAP = "stamp far ahead of the last one"
     CROWDED = "too many senders"
+    FAR = "true position far from the reported one"
 
 
 @dataclass
@@ -140,6 +142,8 @@ class GuardedModel:
         if self.follower is None or number is None or number not in self._recent:
             return self.counters.refuse(Refusal.REPEATED)
         state, time_s, correction = self._recent[number]
+        if np.linalg.norm(true_mm - self.model.schema.position_mm(state)) > _FAR_MM:
+            return self.counters.refuse(Refusal.FAR)
         self.follower.add(correction, state, time_s, true_mm, covariance)
         self.counters.measured += 1
         return self.follower.corrected(correction, state, time_s)

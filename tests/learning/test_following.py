@@ -80,6 +80,11 @@ def test_true_positions_by_udp(model_path: Path, split: Split) -> None:
     assert 0.1 < later.error_mm[0] - first.error_mm[0] < 1.0
     assert later.error_mm == pytest.approx(seen.error_mm, abs=1e-3)
     assert ask(TruePacket(0, np.full(3, np.nan), 0.01)).answer is Refusal.MALFORMED
+    in_metres = TruePacket(2, true.position_mm / 1000, 0.01)
+    assert ask(in_metres).answer is Refusal.FAR
+    assert ask(StatePacket(3, 0.03, state)).answer.error_mm == pytest.approx(
+        later.error_mm, abs=1e-3
+    )  # type: ignore[union-attr]
     assert server.counters.measured == 1
     assert "drift" in (server.drift() or "")
     again = ask(StatePacket(0, 0.0, state)).answer  # the robot's program was started again
