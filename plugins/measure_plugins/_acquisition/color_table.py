@@ -27,6 +27,7 @@ from measure.model.color import ColorRange
 
 _BITS = 6
 _LEVELS = 1 << _BITS
+_WIDTH = 256 // _LEVELS
 MAX_COLORS = 8
 """The bits of one byte."""
 _ONE, _TWO = np.uint64(1), np.uint64(2)
@@ -45,15 +46,19 @@ def color_table(colors: tuple[BallColor, ...]) -> Bytes:
     """
     if len(colors) > MAX_COLORS:
         raise ValueError(f"colors: expected at most {MAX_COLORS} different ones, got {len(colors)}")
-    level = (np.arange(_LEVELS) * (256 // _LEVELS) + 128 // _LEVELS).astype(np.uint8)
-    blue, green, red = np.meshgrid(level, level, level, indexing="ij")
-    samples = np.stack([blue, green, red], axis=-1).reshape(_LEVELS, -1, 3)
+    samples = np.moveaxis(_entries(), 0, -1).reshape(_LEVELS, -1, 3)
     table = np.zeros(samples.shape[:2], np.uint8)
     for bit, color in enumerate(colors):
         table |= np.where(color.mask(samples) > 0, np.uint8(1 << bit), np.uint8(0))
     table = table.reshape(_LEVELS, _LEVELS, _LEVELS)
     table.setflags(write=False)
     return table
+
+
+@cache
+def _entries() -> Bytes:
+    """Blue, green and red (3, 64, 64, 64) in the middle of each entry of a colour table."""
+    return np.indices((_LEVELS,) * 3, np.uint8) * np.uint8(_WIDTH) + np.uint8(_WIDTH // 2)
 
 
 @compiled
@@ -124,13 +129,10 @@ def brighter_than_the_rest(color: BallColor, bit: int, pixels: Bytes) -> Bytes:
         (64, 64, 64).
     """
     pale = _of_any_value(color, bit)
-    some = pixels[_GREY_STRIDE // 2 :: _GREY_STRIDE, _GREY_STRIDE // 2 :: _GREY_STRIDE].reshape(
-        -1, 3
-    )
-    cut = some // (256 // len(pale))
-    values = some[pale[cut[:, 0], cut[:, 1], cut[:, 2]] > 0].max(axis=1)
+    some = pixels[_GREY_STRIDE // 2 :: _GREY_STRIDE, _GREY_STRIDE // 2 :: _GREY_STRIDE]
+    values = some[pale[tuple(np.moveaxis(some // _WIDTH, -1, 0))] > 0].max(axis=1)
     level = float(np.median(values)) if len(values) else 0.0
-    bright = _values(len(pale)) >= np.uint8(min(_BRIGHTER * level, 255.0))
+    bright = _entries().max(axis=0) >= np.uint8(min(_BRIGHTER * level, 255.0))
     return np.multiply(pale, bright, dtype=np.uint8)
 
 
@@ -138,14 +140,6 @@ def brighter_than_the_rest(color: BallColor, bit: int, pixels: Bytes) -> Bytes:
 def _of_any_value(color: BallColor, bit: int) -> Bytes:
     floorless = replace(color, ranges=tuple(replace(r, low=(*r.low[:2], 0)) for r in color.ranges))
     return color_table((floorless,)) * np.uint8(bit)
-
-
-@cache
-def _values(levels: int) -> Bytes:
-    """The greatest of blue, green and red for each entry of a colour table."""
-    level = np.arange(levels) * (256 // levels) + 128 // levels
-    blue, green, red = np.meshgrid(level, level, level, indexing="ij")
-    return np.maximum(np.maximum(blue, green), red).astype(np.uint8)
 
 
 _STRIDE = 2  # Stride of the reduced pixels that are counted
@@ -174,7 +168,7 @@ def more_vivid_than_the_rest(
     for i, histogram in enumerate(_chroma_histograms(pixels, table, _STRIDE * step, count)):
         least = _split(histogram.astype(np.float64))
         if least is not None:
-            vivid = _chroma() >= np.uint8(least)
+            vivid = np.ptp(_entries(), axis=0) >= np.uint8(_WIDTH * least)
             out.append((i, np.multiply(table >> np.uint8(i) & np.uint8(1), vivid, dtype=np.uint8)))
     return out
 
@@ -207,14 +201,6 @@ def _split(histogram: Floats) -> int | None:
     at = int(np.argmax(np.where(some, below * above * (vivid - dull) ** 2, -1.0)))
     far = below[at] >= _MIN_DULL * total and vivid[at] >= _TIMES_AS_VIVID * dull[at]
     return at + 1 if far else None
-
-
-@cache
-def _chroma() -> Bytes:
-    """The greatest minus the least of blue, green and red for each entry of a colour table."""
-    blue, green, red = np.ogrid[:_LEVELS, :_LEVELS, :_LEVELS]
-    greatest = np.maximum(np.maximum(blue, green), red)
-    return (greatest - np.minimum(np.minimum(blue, green), red)).astype(np.uint8)
 
 
 _MIN_VALUE = 12  # Least value of a dark pixel, above the quantisation of hue

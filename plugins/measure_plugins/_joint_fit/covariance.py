@@ -35,15 +35,10 @@ class UncertainBalls(NamedTuple):
 class JointFit(NamedTuple):
     """A pose fitted to outlines, with its full covariance."""
 
-    rotation: Floats  # (3, 3) of world_from_body
-    translation: Floats  # (3,) of world_from_body, mm
+    found: OutlineFit
     covariance: Floats  # (6, 6) in the `perturb` chart: random effects, light, and calibration
-    effects_px: Floats  # (k, 3) see `OutlineFit`
-    offsets_px: Floats  # (c,) see `OutlineFit`
     by_camera: Floats  # (c, 6, 18) by the poses and intrinsics of uncertain cameras
     rms_px: float  # of the effects bx and by
-    solved: bool
-    converged: bool
 
 
 @compiled
@@ -79,21 +74,11 @@ def solve_outlines(
         levers = by_cameras(outlines, fit, rig)
         known += calibration_covariance(levers, rig)
     off = fit.effects_px[:, :2]
-    return JointFit(
-        fit.rotation,
-        fit.translation,
-        (known + known.T) / 2,
-        fit.effects_px,
-        fit.offsets_px,
-        levers,
-        np.sqrt(np.sum(off * off) / len(off)),
-        fit.solved,
-        fit.converged,
-    )
+    return JointFit(fit, (known + known.T) / 2, levers, np.sqrt(np.sum(off * off) / len(off)))
 
 
 @compiled
-def rms_distance(fit: JointFit, points_body: Floats, centers: Floats) -> float:
+def rms_distance(fit: OutlineFit, points_body: Floats, centers: Floats) -> float:
     """RMS distance in mm of centres (f, 3) in the world from the body's (f, 3); NaN for f = 0."""
     total = 0.0
     for i in range(len(centers)):

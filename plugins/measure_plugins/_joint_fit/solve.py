@@ -107,10 +107,8 @@ def fit_outlines(
         if exact and step_sd < _FAST_STEP_RATIO * before:
             state.step[:] *= _OVER_RELAXATION
         before = step_sd
-        rotation, translation = (
-            rotation_of(state.step[3:6]) @ rotation,
-            translation + state.step[:3],
-        )
+        rotation = rotation_of(state.step[3:6]) @ rotation
+        translation = translation + state.step[:3]
         offsets = offsets + state.step[6:]
         if step_sd < _CONVERGED_SD:
             break

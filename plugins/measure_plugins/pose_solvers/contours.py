@@ -211,13 +211,13 @@ class ContoursSolver(PoseSolver):
             return None
         view_noise = calibration_noise(outlines.named.rig, start.apply(self.body.middle))
         fit = self._fit(outlines, start, information, prior, time_s, view_noise)
-        if not fit.solved:
+        if not fit.found.solved:
             return None
         placed = self.body.centers_of([position.ball for position in positions])
-        residual_mm = rms_distance(fit, placed, stacked_positions(tuple(positions))[0])
+        residual_mm = rms_distance(fit.found, placed, stacked_positions(tuple(positions))[0])
         return Pose(
             time_s=time_s,
-            world_from_body=RigidTransform(fit.rotation, fit.translation),
+            world_from_body=RigidTransform(fit.found.rotation, fit.found.translation),
             covariance=fit.covariance,
             residual_mm=residual_mm,
             rms_px=fit.rms_px,
@@ -282,7 +282,7 @@ class ContoursSolver(PoseSolver):
 
     def _flags(self, fit: JointFit, outlines: NamedOutlines, view_noise: Floats) -> tuple[str, ...]:
         flags = []
-        limit, effects = self.config.max_shift_px, fit.effects_px.tolist()
+        limit, effects = self.config.max_shift_px, fit.found.effects_px.tolist()
         for k, (seen, (right, down, _)) in enumerate(
             zip(outlines.detections, effects, strict=True)
         ):
@@ -299,12 +299,12 @@ class ContoursSolver(PoseSolver):
             flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
         if len(outlines.named.seen_by) < 2:
             flags.append("only one camera: depth is from the balls' sizes")
-        elif abs(growth := median(fit.offsets_px.tolist())) > self.config.max_growth_px:
+        elif abs(growth := median(fit.found.offsets_px.tolist())) > self.config.max_growth_px:
             flags.append(
                 f"outlines lie {abs(growth):.1f} px {'outside' if growth > 0 else 'inside'} where "
                 "the radii in the body file put them"
             )
-        if not fit.converged:
+        if not fit.found.converged:
             flags.append("the fit did not settle")
         variances = fit.covariance.diagonal().tolist()
         position = math.sqrt(sum(variances[:3]))

@@ -14,7 +14,7 @@ _STEP_PX = 0.5
 _EDGE_SD_PX = 0.5  # Standard deviation of where a colour ends along a ray, seen in whole pixels
 _RINGS = (0.25, 0.5, 0.7, 0.85)
 """Radii, as shares of the outline's, at which the colour inside is sampled."""
-_LEVELS = 256
+_CUT = 2  # By how many bits picture values are cut for a table of colours
 
 
 @compiled
@@ -34,11 +34,11 @@ def scan_color(
     Args:
         axis: (3,) unit direction of the ball's centre in the camera frame.
         half_angle: of its cone, rad.
-        colors: (k, k, k) bits by blue, green and red, each cut to as many levels, a power of two.
+        colors: (64, 64, 64) bits by blue, green and red, each cut to as many levels.
     """
     frame = frame_about(axis)
     rays, scale = cast_rays(frame, half_angle, count, view.lens)
-    height, width, cut = view.pixels.shape[0], view.pixels.shape[1], _cut(colors)
+    height, width = view.pixels.shape[:2]
     at, clear, use = np.full(count, np.nan), np.zeros(count), np.zeros(count)
     for i in range(count):
         colored, s = False, -reach_px - _STEP_PX
@@ -50,7 +50,7 @@ def scan_color(
                 rays.status[i] = OUT_OF_IMAGE
                 break
             b, g, r = view.pixels[y, x]
-            before, colored = colored, colors[b >> cut, g >> cut, r >> cut] & bit != 0
+            before, colored = colored, colors[b >> _CUT, g >> _CUT, r >> _CUT] & bit != 0
             if before and not colored and not abs(at[i]) <= abs(s - _STEP_PX / 2):
                 at[i] = s - _STEP_PX / 2
         clear[i] = rays.status[i] == CLEAR
@@ -71,7 +71,7 @@ def color_share(pixels: Bytes, colors: Bytes, bit: int, center: Floats, points: 
         points: (n, 2) px.
     """
     height, width = pixels.shape[:2]
-    seen, alike, cut = 0, 0, _cut(colors)
+    seen, alike = 0, 0
     for i in range(len(points)):
         for share in _RINGS:
             x = round(center[0] + share * (points[i, 0] - center[0]))
@@ -79,14 +79,5 @@ def color_share(pixels: Bytes, colors: Bytes, bit: int, center: Floats, points: 
             if 0 <= x < width and 0 <= y < height:
                 b, g, r = pixels[y, x]
                 seen += 1
-                alike += colors[b >> cut, g >> cut, r >> cut] & bit != 0
+                alike += colors[b >> _CUT, g >> _CUT, r >> _CUT] & bit != 0
     return alike / seen if seen else 0.0
-
-
-@compiled
-def _cut(colors: Bytes) -> int:
-    """By how many bits picture values are cut for a table of colours."""
-    cut = 0
-    while len(colors) << cut < _LEVELS:
-        cut += 1
-    return cut

@@ -116,7 +116,15 @@ def corrected_edges(found: EdgePairs, correction_weight: float) -> Edges:
             sd = found.sd[k, i]
             shifts[k, i] = found.at[k, i] - common - correction_weight * own
             variances[k, i] = sd * sd + _CORRECTION_SD_SHARE * own * _CORRECTION_SD_SHARE * own
-    return _joined(shifts, variances, found.contrast, found.inside, found.outside)
+    shift, sds, contrast = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):  # formula 14
+        a, b = shifts[0, i], shifts[1, i]
+        apart, variance = 0.5 * (a - b), 0.5 * (variances[0, i] + variances[1, i])
+        shift[i] = 0.5 * (a + b)
+        sds[i] = np.sqrt(variance + apart * apart + _SYSTEMATIC_PX**2)
+        contrast[i] = min(found.contrast[0, i], found.contrast[1, i])
+    inside, outside = found.inside.astype(np.float64), found.outside.astype(np.float64)
+    return Edges(shift, sds, contrast, inside, outside)
 
 
 @compiled
@@ -148,22 +156,6 @@ def find_edge_pairs(inputs: PredictionInputs) -> EdgePairs:
         y, _ = project(predicted, model_inside, model_outside, without_grey)
         biases[k], _ = crossings(y, later, SEARCH_PX)
     return EdgePairs(at, sd, contrasts, biases, within, background)
-
-
-@compiled
-def _joined(
-    shifts: Floats, variances: Floats, contrasts: Floats, inside: Reals, outside: Reals
-) -> Edges:
-    """Edges from pairs (2, n) of corrected ones (formula 14)."""
-    n = shifts.shape[1]
-    shift, sd, contrast = np.empty(n), np.empty(n), np.empty(n)
-    for i in range(n):
-        a, b = shifts[0, i], shifts[1, i]
-        apart, variance = 0.5 * (a - b), 0.5 * (variances[0, i] + variances[1, i])
-        shift[i] = 0.5 * (a + b)
-        sd[i] = np.sqrt(variance + apart * apart + _SYSTEMATIC_PX**2)
-        contrast[i] = min(contrasts[0, i], contrasts[1, i])
-    return Edges(shift, sd, contrast, inside.astype(np.float64), outside.astype(np.float64))
 
 
 @compiled

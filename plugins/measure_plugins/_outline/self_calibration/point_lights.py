@@ -124,10 +124,8 @@ def _light_sphere(middle: Floats, world_from_camera: Floats) -> Floats:
     """Lights (k, 4) of irradiance 1 at a place (3,) in mm, evenly round it on a spiral."""
     i = np.arange(_LIGHT_COUNT) + 0.5
     height, turn = 1 - 2 * i / _LIGHT_COUNT, np.pi * (1 + np.sqrt(5.0)) * i
-    radial, distance_mm = (
-        np.sqrt(1 - height**2),
-        max(_LIGHT_DISTANCE_MM, float(np.linalg.norm(middle))),
-    )
+    radial = np.sqrt(1 - height**2)
+    distance_mm = max(_LIGHT_DISTANCE_MM, float(np.linalg.norm(middle)))
     directions = np.column_stack([radial * np.cos(turn), radial * np.sin(turn), height])
     power = np.full(_LIGHT_COUNT, (distance_mm / REFERENCE_MM) ** 2)
     return np.column_stack([middle + distance_mm * directions @ world_from_camera, power])
