@@ -47,7 +47,6 @@ def accept(
             theirs, one of which is the run's reference.
         page: a report to write.
         body: the name of the body that rests, in a run of several.
-        overwrite: replace a report that is there.
 
     Raises:
         RunError: no run, or a row that names no rest and no ball.

@@ -90,9 +90,7 @@ def live(
     Args:
         cameras: where their pictures come from; at least two.
         out: the run's folder.
-        calibration: the cameras' calibration.
         bodies: the bodies' files, one or several.
-        profile: the stages and their settings.
         options: what else is to be done with pictures and poses.
         on_state: called after every frame set.
 

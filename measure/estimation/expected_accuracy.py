@@ -29,8 +29,6 @@ def noise_sd(
 
     Args:
         pose: world_from_body.
-        body: the body.
-        cameras: the cameras.
         noise_px: standard deviation of a ball's centre in an image, per axis.
     """
     centers = pose.apply(body.centers)
@@ -62,8 +60,6 @@ def tolerance_covariance(
     tolerance^2 (sum J_i^T J_i)^-1. Directions that the balls used leave undetermined get zero.
 
     Args:
-        body: its balls and its tolerance.
-        world_from_body: the pose.
         balls: names of those it was measured with.
     """
     J = chart_jacobian(world_from_body.rotate(body.centers_of(balls))).reshape(-1, 6)
@@ -87,7 +83,6 @@ def body_pose_sd(
 
     Args:
         cameras: with covariances.
-        body: the body.
         poses: n of them.
         covariance: of all cameras jointly (as from a rig fit); by camera if omitted, which ignores
             correlations between cameras.
@@ -111,7 +106,6 @@ def pose_by_cameras(
 
     Args:
         cameras: that see the body.
-        body: the body.
         pose: world_from_body.
     """
     points = pose.apply(body.centers)

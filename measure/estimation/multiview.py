@@ -107,7 +107,6 @@ def fit_point(observations: PointObservations, extra_px: float = 0.0) -> PointFi
     See docs/explanation/joint_fit.md, formula 21.
 
     Args:
-        observations: the pixels.
         extra_px: added to every pixel's standard deviation in quadrature, for `disagreement` alone.
 
     Raises:

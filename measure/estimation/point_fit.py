@@ -91,10 +91,6 @@ def fit_points(
 
     Args:
         starts: (k + 1,) where each point's rows begin; the others are as in `fit_point_rows`.
-        rig: the n cameras.
-        pixels: (n, 2).
-        noise: (n, 2, 2).
-        extra_px: see `fit_point_rows`.
     """
     k = len(starts) - 1
     points, known, distances = np.empty((k, 3)), np.empty((k, 3, 3)), np.empty(len(pixels))
@@ -140,12 +136,9 @@ def _distance(point: Floats, origin: Floats, direction: Floats) -> float:
 def refine_point(
     rig: RigRows, pixels: Floats, shifts: Floats, noise: Floats, start: Floats
 ) -> tuple[Floats, Floats, Floats, float, bool]:
-    """Gauss-Newton from `start` with fixed weights.
+    """Gauss-Newton from `start` with fixed weights; what is not told here as in `fit_point_rows`.
 
     Args:
-        rig: the n cameras.
-        pixels: (n, 2).
-        shifts: (n, 3) where each camera saw the point, relative to where it is.
         noise: (n, 2, 2) total covariances of the pixels.
         start: (3,) mm.
 

@@ -102,7 +102,6 @@ def fit_pose(
 
     Args:
         start: a pose from which least squares converges.
-        observations: the pixels.
         velocity: (6,) of the body, to bring pictures of different times together; at rest if None.
         tukey: a residual this many standard deviations off has no weight at all.
         tolerance: stop when a step is smaller than this, in mm and rad.

@@ -86,7 +86,6 @@ class Estimator(Plugin):
         """Write one ONNX file, which `measure.host.OnnxModel` can run.
 
         Args:
-            path: the file.
             card: what to store beside the network: training data, scores, revision.
         """
 

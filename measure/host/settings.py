@@ -21,7 +21,6 @@ def setting(default: Any, description: str, *, unit: str = "", **limits: Any) ->
     """A field of a `Config`.
 
     Args:
-        default: its default value.
         description: one sentence, shown by `measure plugins show` and in the docs.
         unit: px, mm, m, deg, rad, s, ms, Hz, %, votes, px² or mm²; empty for a bare number or word.
         **limits: pydantic's `ge`, `gt`, `le`, `lt`, `multiple_of`.
@@ -70,7 +69,6 @@ def read_settings(config: type[C], values: Mapping[str, Any], owner: str) -> C:
     ConfigError: an unknown name (the message lists the known ones) or a value that does not fit.
 
     Args:
-        config: the class of settings.
         values: names and values; numbers and booleans may come as text from a command line.
         owner: whose settings they are ("detector 'hough'"), for the message.
     """

@@ -56,8 +56,6 @@ def _reconciled(
     """The same, where bodies that are declared are no strangers, and do not share a place.
 
     Args:
-        row: a measurement of each body.
-        bodies: these.
         explained: flags of a second body that was a declared one; they hold on for a while, and
             are dropped then as well.
     """

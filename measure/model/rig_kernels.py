@@ -18,8 +18,6 @@ def project_one(
     """Project a world point into the camera of a row; NaN where it has no image.
 
     Args:
-        rig: the cameras.
-        row: which of them.
         point: (3,) mm.
         pixel: (2,) filled.
         by_point: (2, 3) filled with the pixel's derivatives by the world point.

@@ -97,7 +97,6 @@ class Journal(GrowingFile):
 
     Args:
         path: the stream, `NAME.arrows`.
-        schema: of the table.
         kept: rows that a resumed run begins with: those appended must be the same.
         blame: why they might not be, in words.
     """

@@ -118,10 +118,6 @@ def _candidates(
 def consistent_sets(rays: CandidateRays, sigmas: float, range_ratio: float) -> Bools:
     """Sets of the n candidates that see a common point, from every two whose rays intersect.
 
-    Args:
-        sigmas: see `intersect_rays`.
-        range_ratio: see `intersect_rays`.
-
     Returns:
         (k, n), each row different from the others: the two, and of each camera the nearest ray.
     """

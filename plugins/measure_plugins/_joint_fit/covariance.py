@@ -1,4 +1,8 @@
-"""The jointly fitted pose with its covariance: random effects, light, and calibration."""
+"""The jointly fitted pose with its covariance: random effects, light, and calibration.
+
+Everywhere k ball-views in c views show some of a body's b balls, ball-view i ball `ball_of[i]`; the
+lens rows are (c, 16).
+"""
 
 from __future__ import annotations
 
@@ -56,10 +60,6 @@ def solve_outlines(
     See docs/explanation/joint_fit.md, formula 15.
 
     Args:
-        outlines: k ball-views in c views.
-        ball_of: (k,) index of the ball.
-        balls: the body's b balls.
-        rig: the c cameras.
         view_noise: (c, 2, 2) covariances of the views' shifts by their calibration, px^2.
         widening: factor of the covariance, for effects whose variance is itself estimated.
     """
@@ -89,13 +89,9 @@ def rms_distance(fit: OutlineFit, points_body: Floats, centers: Floats) -> float
 
 @compiled
 def calibration_covariance(levers: Floats, rig: RigRows) -> Floats:
-    """What the cameras' uncertain poses and lenses add to the pose's covariance (6, 6).
+    """What uncertain cameras add to the pose's covariance (6, 6), by the levers of `by_cameras`.
 
     See docs/explanation/joint_fit.md, formula 19.
-
-    Args:
-        levers: (c, 6, 18) as `by_cameras` gives them.
-        rig: the c cameras.
     """
     out = np.zeros((6, 6))
     for view in range(len(rig.lenses)):
@@ -106,12 +102,7 @@ def calibration_covariance(levers: Floats, rig: RigRows) -> Floats:
 
 @compiled
 def by_cameras(outlines: PackedOutlines, fit: OutlineFit, rig: RigRows) -> Floats:
-    """Derivatives (c, 6, 18) of the pose by the uncertain cameras' poses and intrinsics.
-
-    Args:
-        outlines: k ball-views in c views.
-        rig: the c cameras.
-    """
+    """Derivatives (c, 6, 18) of the pose by the uncertain cameras' poses and intrinsics."""
     levers, by_intrinsics = np.zeros((len(rig.lenses), 6, 18)), np.empty((3, 12))
     for view in range(len(rig.lenses)):
         if not np.any(rig.covariances[view]):
@@ -140,11 +131,6 @@ def pose_by_radius(
 
     A ball that is larger has larger outlines in all views. See docs/explanation/joint_fit.md,
     formula 22.
-
-    Args:
-        outlines: k ball-views in c views.
-        ball_of: (k,) index of the ball.
-        lenses: (c, 16) lens rows.
     """
     out = np.zeros((6, balls))
     for k in range(len(outlines.view_of)):
@@ -163,9 +149,7 @@ def shape_covariance(
     docs/explanation/joint_fit.md, formula 23.
 
     Args:
-        outlines: k ball-views in c views.
         variances: (3,) of an outline's x, y and radius, mm^2.
-        lenses: (c, 16) lens rows.
     """
     out, stated = np.zeros((6, 6)), fit.effect_sd_px[np.array([0, 0, 1])] ** 2
     for k in range(len(outlines.view_of)):
@@ -222,11 +206,6 @@ def light_covariance(
     `_MIN_COMMON_SHIFT_PX`. Partly it is independent from ball to ball, and partly the same for all
     balls, as an error of the tone curve is for balls under the same light. See
     docs/explanation/joint_fit.md, formula 18.
-
-    Args:
-        outlines: k ball-views in c views.
-        ball_of: (k,) index of the ball.
-        lenses: (c, 16) lens rows.
     """
     levers, mm_per_px = np.zeros((balls, 6, 3)), 0.0
     for k in range(len(outlines.view_of)):

@@ -55,7 +55,6 @@ def eliminate(moments: Floats, variances: Floats, equations: ReducedEquations) -
     Args:
         moments: (k, 10, 10) see `residuals.accumulate_moments`.
         variances: (k, 3) of the random effects, px^2.
-        equations: filled.
     """
     for k in range(len(moments)):
         m, back = moments[k], equations.back_substitution[k]
@@ -215,9 +214,6 @@ def _eliminate_from(
     Args:
         variances: (3,) of its random effects.
         inverse: (2, 2) covariance of the view's shift, given the shared unknowns.
-        offset: (2,) see `ViewShifts`.
-        back: (2, 7) see `ViewShifts`.
-        equations: changed.
     """
     right, normal, effects = (
         equations.right[k],
@@ -274,7 +270,6 @@ def subtract_view_shifts(
     Args:
         view_of: (k,) index of the ball-views' views.
         by_effect: (k, 6, 3) derivatives of the pose by the ball-views' random effects.
-        covariance: changed.
     """
     for view in range(len(shifts.variance)):
         if _is_uncertain(shifts, view):

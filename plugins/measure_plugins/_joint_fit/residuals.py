@@ -40,7 +40,6 @@ def accumulate_moments(
     """Fill the moments of all ball-views.
 
     Args:
-        outlines: k ball-views in c views.
         rotation: (3, 3) of world_from_body.
         translation: (3,) of world_from_body.
         offsets: (c,) outward edge offset of every view, px.

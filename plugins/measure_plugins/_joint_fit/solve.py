@@ -88,7 +88,6 @@ def fit_outlines(
     docs/explanation/joint_fit.md.
 
     Args:
-        outlines: k ball-views in c views.
         view_shifts: of the views, with their variances; the estimates are filled.
     """
     rotation, translation, gone = start.rotation, start.translation, np.zeros(6)

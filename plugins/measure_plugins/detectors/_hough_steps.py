@@ -165,9 +165,6 @@ def tune_blur(
         find_with: gives the Hough detection for a blur in px.
         sigmas_px: the blurs to try, ascending, at least one; after the last one it gives up and
             `jumped` stays true.
-        expected: see `tune_threshold`.
-        lowest: see `tune_threshold`.
-        start: see `tune_threshold`.
     """
     tuned: Tuned | None = None
     for sigma_px in sigmas_px:

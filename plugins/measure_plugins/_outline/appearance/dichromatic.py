@@ -83,7 +83,6 @@ def reflected_light(grey: Floats, status: Statuses, solve: Floats) -> Floats:
 
     Args:
         grey: (m, n).
-        status: (n,) see `RaySet`.
         solve: (k, m) from a profile to the reflected light.
 
     Returns:

@@ -53,7 +53,6 @@ def ball_reflection_shares(
         behind: (m, 4) see `balls_behind`.
         frame: (3, 3) about the ball's axis, see `rays.frame_about`.
         half_angle: of its cone, rad.
-        around: (n, 2) cosine and sine around the axis.
 
     Returns:
         Shares (k, n); -1 on rays before no ball, and (k, 0) if all are.
@@ -115,7 +114,6 @@ def add_ball_reflection(
     Surfaces without grazing reflection are left alone.
 
     Args:
-        shares: see `ball_reflection_shares`.
         background: (3, n) light outside the outline.
         behind_grey: (n,) grey component of that, whose reflection is fitted anyway.
         first: the step at which the prediction begins.

@@ -54,9 +54,6 @@ def shade_by_lights(
     """Diffuse light (m, n) of a ball by point lights, along its rays; (0, n) without lights.
 
     Args:
-        diffuse: (m, 6) see `RadialTables`.
-        fresnel_loss: see `RadialTables`.
-        around: (n, 2) cosine and sine around the axis.
         point_lights: (k, 4) seen from the ball.
     """
     n, out = len(around), np.zeros((len(diffuse) if len(point_lights) > 0 else 0, len(around)))
@@ -92,7 +89,6 @@ def _add_light(
 
     Args:
         source: (4,) the light, seen from the ball.
-        fresnel_loss: see `RadialTables`.
         right: (k,) first component of the surface normals.
         down: (k,) their second component.
         ahead: (k,) their component along the ball's axis.

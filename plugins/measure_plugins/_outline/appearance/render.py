@@ -49,8 +49,6 @@ def predict_light(
 
     Args:
         profiles: (3, m, n) light the picture shows at `steps`.
-        status: (n,) see `RaySet`.
-        around: (n, 2) cosine and sine around the axis.
         background: (3, n) light outside the outline.
         steps: (m,) px along the normal.
         tables: of the ball, at the same steps.
@@ -82,12 +80,7 @@ def split_light(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Body and surface reflection of a ball, without the background.
 
-    Args:
-        profiles: (3, m, n) light the picture shows at `steps`.
-        status: (n,) see `RaySet`.
-        background: (3, n) light outside the outline.
-        steps: (m,) px along the normal.
-        tables: of the ball, at the same steps.
+    What is given is as in `predict_light`, of `used` steps.
 
     Returns:
         The body colour (3,), amounts of it and of grey along the rays, both (used, n), and the grey

@@ -34,8 +34,6 @@ def shading_functions(around: Floats, diffuse: Floats, lighted: Floats) -> Float
     """What shading is a sum of: (t, m, n), of five terms or nine.
 
     Args:
-        around: (n, 2) cosine and sine around the axis.
-        diffuse: (m, 6) see `RadialTables`.
         lighted: (m, n) see `shade_by_lights`; empty if no lights are known.
     """
     m, n, known = len(diffuse), len(around), lighted.size > 0
@@ -61,7 +59,6 @@ def fit_shading(amounts: Floats, status: Statuses, functions: Floats, used: int)
 
     Args:
         amounts: (m, n) of the body colour.
-        status: (n,) see `RaySet`.
         functions: (t, m, n).
         used: how many steps to use, of which every second one is.
     """

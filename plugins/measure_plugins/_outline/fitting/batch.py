@@ -78,14 +78,7 @@ def measure_balls(
     give_up_share: float,
     colors: Bytes,
 ) -> Measured:
-    """Measure every expected ball.
-
-    Args:
-        min_contrast: see `OutlineSearch`.
-        margin_px: see `OutlineSearch`.
-        give_up_share: see `measure_unknown_size`.
-        colors: see `color_share`.
-    """
+    """Measure every expected ball."""
     found = _none_found(len(expected.cones), rays)
     for i in range(len(expected.cones)):
         search = _search(expected, i, rays, min_contrast, margin_px)
@@ -117,9 +110,6 @@ def measure_circles(
             filled, and the number of the bit that has found it.
         bits: (k,) of their colours in the table of colours.
         rays: cast across each outline, and how many across large ones.
-        min_contrast: see `OutlineSearch`.
-        give_up_share: see `measure_unknown_size`.
-        colors: see `color_share`.
     """
     found = _none_found(len(circles), rays[1])
     for i in range(len(circles)):

@@ -66,7 +66,6 @@ def color_share(pixels: Bytes, colors: Bytes, bit: int, center: Floats, points: 
 
     Args:
         pixels: (h, w, 3) uint8.
-        colors: see `scan_color`.
         center: (2,) px.
         points: (n, 2) px.
     """

@@ -91,11 +91,7 @@ def piecewise_covariance(around: Floats, weights: Floats, off: Floats, normal: F
     Shading, reflections and background shift uncorrected half-level crossings: each of the
     `_BLOCKS` pieces of the outline as a whole, by about the RMS residual.
 
-    Args:
-        around: (n, 2) cosine and sine around the axis.
-        weights: (n,) of the edges in the fit, px^-2; 0 for rays left out.
-        off: (n,) the edges' residuals, px; 0 for rays left out.
-        normal: (3, 3) of the fit, px^-2.
+    The arguments are those of `center_covariance`; residuals of rays left out are 0.
     """
     n, total, pulls = len(off), np.zeros((3, 3)), _design(around) * weights
     for block in range(_BLOCKS):

@@ -101,7 +101,6 @@ def corrected_edges(found: EdgePairs, correction_weight: float) -> Edges:
     their difference is part of its standard deviation.
 
     Args:
-        found: from `find_edge_pairs`.
         correction_weight: share subtracted of the difference of a ray's bias from the median.
 
     Returns:

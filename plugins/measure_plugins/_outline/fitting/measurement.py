@@ -152,7 +152,6 @@ def measure_unknown_size(
 
     Args:
         give_up_share: share of agreeing edges in a narrow scan below which no further one is made.
-        colors: see `scan_color`.
         bit: of the ball's colour there; 0 for half-level crossings.
     """
     axis, half_angle, reach = search.axis, search.half_angle, reach_px(view, search)

@@ -26,7 +26,6 @@ def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trial
 
     Args:
         shifts: (n,) outline shifts along the normals, px.
-        around: (n, 2) cosine and sine around the axis.
         use: (n,) 1 for points to use, else 0.
         gate_px: how near a point must be to agree.
         trials: number of triples; a fixed sequence, so that results repeat.
@@ -87,13 +86,10 @@ def refine(
     gate_px: float,
     growth: tuple[float, float],
 ) -> tuple[Floats, Floats, Floats, float]:
-    """Iterated Tukey-weighted least squares from `start`.
+    """Iterated Tukey-weighted least squares from `start`; `shifts` and `use` as in `consensus`.
 
     Args:
-        shifts: (n,) outline shifts along the normals, px.
-        around: (n, 2) cosine and sine around the axis.
         sd: (n,) standard deviations of the shifts, px.
-        use: (n,) 1 for points to use, else 0.
         start: (3,) to start from.
         gate_px: how near a point must be at first.
         growth: prior mean and sd of the growth, px.

@@ -108,7 +108,6 @@ def crossings(x: Reals, steps: Floats, search_px: float) -> tuple[Reals, Reals]:
     """Where shares (m, n) fall through one half, nearest to 0 (formula 11).
 
     Args:
-        x: see `project`.
         steps: (m,) px along the normal, evenly spaced.
         search_px: the furthest crossing from 0.
 
@@ -240,7 +239,6 @@ def in_highlights(inside: Reals, status: Statuses) -> Bools:
 
     Args:
         inside: (3, n) picture values inside the outline, from 0 to 1.
-        status: (n,) see `RaySet`.
     """
     n = inside.shape[1]
     out, clear, count = np.zeros(n, np.bool_), np.empty(n), 0

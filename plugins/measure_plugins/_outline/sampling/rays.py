@@ -137,7 +137,6 @@ def mark_occluded(
     """Set the status of rays that pass within `margin_px` of a nearer ball to OCCLUDED.
 
     Args:
-        rays: from `cast_rays`.
         scale: (n,) px per rad, from `cast_rays`.
         frame: (3, 3) of the cone, see `frame_about`.
         half_angle: of the cone, rad.
@@ -304,7 +303,6 @@ def together(light: Reals, status: Statuses) -> tuple[Floats, Statuses]:
 
     Args:
         light: (3, m, n) along the rays.
-        status: (n,) see `RaySet`.
 
     Returns:
         Light (3, m, n / 2); and status (n / 2,): CLEAR where a ray is, else that of the first.

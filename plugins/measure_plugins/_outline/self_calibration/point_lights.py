@@ -235,9 +235,7 @@ def _add_skies(diffuse: Floats, around: Floats, frame: Floats, out: Floats) -> N
     """Fill the light (m, n, 6) of skies that fade linearly from one side to none on the opposite.
 
     Args:
-        diffuse: (m, 6) see `RadialTables`.
-        around: (n, 2) cosine and sine around the axis.
-        frame: (3, 3) about it.
+        frame: (3, 3) about the axis.
         out: by the side from which most comes: either way along the camera's x, y and z.
     """
     for a in range(3):

@@ -262,7 +262,6 @@ def aligned_residuals(
         seen: (3, m, n) picture values along n rays.
         predicted: (3, m, n) the same as predicted.
         status: (n,) see `RaySet`; the k clear rays are compared.
-        around: (n, 2) cosine and sine around the axis.
         compared: how many of the m samples count, from the inside.
         weights: (k,) of the rays; if empty, robust ones are computed.
 
