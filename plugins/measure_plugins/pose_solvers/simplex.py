@@ -10,6 +10,7 @@ from itertools import combinations
 from math import cos, sin
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
@@ -184,7 +185,8 @@ def fit_simplex(
 
     # Near beta = +-90 deg Euler angles lose a degree of freedom: look at the world from the side.
     turn = _away_from_gimbal_lock(guess.rotation)
-    start = np.concatenate([turn @ guess.translation, _euler(turn @ guess.rotation)])
+    angles = Rotation.from_matrix(turn @ guess.rotation).as_euler("xyz")  # of Rz Ry Rx
+    start = np.concatenate([turn @ guess.translation, angles])
     simplex = np.vstack([start, start + np.diag([steps[0]] * 3 + [steps[1]] * 3)])
     result = minimize(
         _cost(points_world @ turn.T, points_body),
@@ -199,7 +201,8 @@ def fit_simplex(
         },
     )
     best = np.asarray(result.x, dtype=np.float64)
-    pose = RigidTransform(turn.T @ _rotation(*best[3:]), turn.T @ best[:3])
+    rotation = Rotation.from_euler("xyz", best[3:]).as_matrix()
+    pose = RigidTransform(turn.T @ rotation, turn.T @ best[:3])
     return pose, bool(result.success)
 
 
@@ -217,29 +220,6 @@ def _frame(three_points: Floats) -> RigidTransform:
         )
     x, z = x / length, z / np.linalg.norm(z)
     return RigidTransform(np.stack([x, np.cross(z, x), z], axis=1), origin)
-
-
-def _rotation(alpha: float, beta: float, gamma: float) -> Floats:
-    """Rot(z, gamma) Rot(y, beta) Rot(x, alpha), (3, 3)."""
-    ca, sa, cb, sb, cg, sg = cos(alpha), sin(alpha), cos(beta), sin(beta), cos(gamma), sin(gamma)
-    return np.array(
-        [
-            [cg * cb, cg * sb * sa - sg * ca, cg * sb * ca + sg * sa],
-            [sg * cb, sg * sb * sa + cg * ca, sg * sb * ca - cg * sa],
-            [-sb, cb * sa, cb * ca],
-        ]
-    )
-
-
-def _euler(rotation: Floats) -> Floats:
-    """(alpha, beta, gamma) in rad of a rotation (3, 3) away from gimbal lock."""
-    return np.array(
-        [
-            np.arctan2(rotation[2, 1], rotation[2, 2]),
-            np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0)),
-            np.arctan2(rotation[1, 0], rotation[0, 0]),
-        ]
-    )
 
 
 def _away_from_gimbal_lock(rotation: Floats) -> Floats:
