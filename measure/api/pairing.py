@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -184,36 +184,39 @@ def simulate_dataset(
     return data, facts
 
 
-def simulate_recording(
-    folder: Path,
-    *,
-    seconds: float,
-    frame_hz: float,
-    seed: int,
-    clock_offset_s: float,
-    wear: float,
-    progress: Progress,
-) -> None:
+@dataclass(frozen=True)
+class RenderOptions:
+    """A recording of the simulated robot.
+
+    Attributes:
+        seconds: length of the recording.
+        frame_hz: frame sets per second.
+        seed: of motion, restart and pictures.
+        clock_offset_s: how far the robot's clock is ahead of the cameras'.
+        wear: slack and friction relative to new cables.
+    """
+
+    seconds: float = 60.0
+    frame_hz: float = 15.0
+    seed: int = 1
+    clock_offset_s: float = 1.5
+    wear: float = 1.0
+
+
+def simulate_recording(folder: Path, options: RenderOptions, progress: Progress) -> None:
     """Render the simulated RAVEN-II with its balls into a session folder, with its log."""
     from measure.learning.rendering import render_recording
 
+    seconds, frame_hz, offset_s = options.seconds, options.frame_hz, options.clock_offset_s
     if not (0 < seconds < math.inf and 0 < frame_hz < math.inf and seconds * frame_hz >= 1):
         raise ConfigError(
             f"--seconds {seconds:g} --frame-hz {frame_hz:g}: expected two positive numbers that "
             "make at least one frame set"
         )
-    if not math.isfinite(clock_offset_s):
-        raise ConfigError(f"--clock-offset-s {clock_offset_s:g}: expected a number")
-    check_seeds(seed=seed)
-    render_recording(
-        folder,
-        seconds=seconds,
-        frame_hz=frame_hz,
-        seed=seed,
-        clock_offset_s=clock_offset_s,
-        cables=Cables(wear=wear),
-        progress=progress,
-    )
+    if not math.isfinite(offset_s):
+        raise ConfigError(f"--clock-offset-s {offset_s:g}: expected a number")
+    check_seeds(seed=options.seed)
+    render_recording(folder, progress=progress, **asdict(options))
 
 
 def register(

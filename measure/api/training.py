@@ -198,7 +198,7 @@ def ablate(
         split = learning.split_as_trained(whole, model)
     else:
         split = learning.split_by_trajectory(whole, seed=split_seed)
-    groups = (learning.single_fields if single else learning.field_groups)(split.test)
+    groups = learning.field_groups(split.test, single=single)
     refit = None
     if remove:
         name, settings = str(model.facts["estimator"]), dict(model.facts["settings"])

@@ -14,7 +14,6 @@ from measure.learning.scores import (
     ablate,
     evaluate,
     field_groups,
-    single_fields,
 )
 from measure.learning.server import EstimateClient, EstimateServer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
@@ -29,6 +28,5 @@ __all__ = [
     "Trained", "TrajectoryFacts", "TruePacket", "Zeroing", "ablate", "assemble",
     "correct_file", "estimate_offset", "evaluate", "field_groups", "files", "fit_zeroing",
     "follower_of", "join", "read_states", "rezero", "same_robot", "simulated_dataset",
-    "single_fields", "split_as_trained", "split_by_trajectory", "sweeping",
-    "train",
+    "split_as_trained", "split_by_trajectory", "sweeping", "train",
 ]  # fmt: skip

@@ -30,13 +30,14 @@ def render_recording(
     folder: Path,
     *,
     seconds: float,
-    frame_hz: float = 15.0,
-    seed: int = 1,
-    clock_offset_s: float = 1.5,
-    cables: Cables | None = None,
-    progress: Progress | None = None,
+    frame_hz: float,
+    seed: int,
+    clock_offset_s: float,
+    wear: float,
+    progress: Progress,
 ) -> None:
     """Write a session folder with the robot's log `robot.parquet`, its clock so far ahead."""
+    cables = Cables(wear=wear)
     run = simulate(seconds, seed, log_hz=_LOG_HZ, cables=cables, wrist_deg=_WRIST_DEG)
     times = np.arange(0.1, seconds - 0.1, 1.0 / frame_hz)
     write_session(_scene(run, seed), times, folder, progress=progress)

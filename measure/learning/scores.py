@@ -153,15 +153,12 @@ def ablate(
     return base, sorted(found, key=lambda item: -item.permutation_mm)
 
 
-def single_fields(data: Dataset) -> dict[str, Sequence[str]]:
-    """Every feature on its own, those that never vary left out."""
+def field_groups(data: Dataset, *, single: bool) -> dict[str, Sequence[str]]:
+    """The robot's own groups of features; where it has none, or if `single`, each that varies."""
+    if data.schema.groups and not single:
+        return dict(data.schema.groups)
     spread = np.ptp(data.states, axis=0)
     return {name: (name,) for name, s in zip(data.schema.names, spread, strict=True) if s > 0}
-
-
-def field_groups(data: Dataset) -> dict[str, Sequence[str]]:
-    """The robot's own groups of features, or single fields where it has none."""
-    return dict(data.schema.groups) or single_fields(data)
 
 
 def _shuffled(data: Dataset, columns: Sequence[int], seed: int) -> Dataset:
