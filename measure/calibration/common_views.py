@@ -36,15 +36,19 @@ _NOT_TOGETHER = "do pictures (video frames) of one number show one instant?"
 _ONE_INSTANT_PX = 3.0  # Cameras that miss common views by more than this did not take them together
 
 
+Joint = tuple[Floats, dict[str, Ints]]
+
+
 def fit_common_views(
     board: Board, lenses: Mapping[str, LensCalibration]
-) -> tuple[tuple[Camera, ...], Floats]:
+) -> tuple[tuple[Camera, ...], Floats, Joint]:
     """Fit all cameras, lenses included, with the first camera as the world.
 
     Pictures of one instant carry the same number in their names, or are frames of that number. Also
-    gives the board's corners in the world at all instants (n, 3) mm. CalibrationError: a camera
-    shares fewer than three views with those already placed, its pictures contradict the others', or
-    the views do not tell how a board was turned that looks the same after a turn.
+    gives the board's corners in the world at all instants (n, 3) mm, and the covariance of all
+    cameras together, with the rows that are each camera's (`body_pose_sd`). CalibrationError: a
+    camera shares fewer than three views with those already placed, its pictures contradict the
+    others', or the views do not tell how a board was turned that looks the same after a turn.
     """
     views = {
         name: {_instant(v.source): v for v in lens.views.views} for name, lens in lenses.items()
@@ -61,9 +65,9 @@ def fit_common_views(
     solution = problem.solve(start, _HUBER_REACH)
     poses = solution.state.world_from_board
     corners = np.einsum("fij,nj->fni", poses.rotation, board.points) + poses.translation[:, None]
-    found = _answer(solution, problem)
+    found, joint = _answer(solution, problem)
     _check_instants(found, lenses)
-    return found, corners.reshape(-1, 3)
+    return found, corners.reshape(-1, 3), joint
 
 
 def _check_instants(cameras: tuple[Camera, ...], lenses: Mapping[str, LensCalibration]) -> None:
@@ -160,19 +164,19 @@ def _turned(points: Floats, turn: Ints) -> RigidTransform:
 
 def _answer(
     solution: LeastSquaresSolution[BoardState], problem: BoardProblem
-) -> tuple[Camera, ...]:
-    factor = max(solution.variance_factor, 1.0)
-    out = []
+) -> tuple[tuple[Camera, ...], Joint]:
+    size, out, columns = len(solution.covariance), list[Camera](), dict[str, Ints]()
+    together = np.zeros((size + 6, size + 6))
+    together[:size, :size] = solution.covariance * max(solution.variance_factor, 1.0)
     for camera, group, seen in zip(
         solution.state.cameras, solution.linearised.groups, problem.views, strict=True
     ):
-        P = np.zeros((6 + len(seen.free), 6 + len(seen.free)))
-        # The first camera is the world: of its pose nothing is unknown.
-        known = slice(len(P) - len(group.columns), None)
-        P[known, known] = solution.covariance[np.ix_(group.columns, group.columns)] * factor
+        # The first camera is the world: of its pose, in the last rows, nothing is unknown.
+        pose = np.arange(size, size + 6) if not out else np.zeros(0, dtype=np.int64)
+        own = columns[camera.name] = np.concatenate([pose, group.columns])
         rms = rms_length(group.residuals * seen.sd_px)
-        out.append(with_covariance(camera, P, seen.free, rms))
-    return tuple(out)
+        out.append(with_covariance(camera, together[np.ix_(own, own)], seen.free, rms))
+    return tuple(out), (together, columns)
 
 
 _View = tuple[Camera, Corners]

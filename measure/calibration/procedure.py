@@ -13,7 +13,7 @@ from measure.arrays import Floats
 from measure.calibration import extrinsics, rig_problem
 from measure.calibration.boards import Board, CornerRule
 from measure.calibration.capture import Capture, CaptureCamera
-from measure.calibration.common_views import fit_common_views
+from measure.calibration.common_views import Joint, fit_common_views
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.markers import FoundMarkers
 from measure.calibration.starts import (
@@ -52,6 +52,7 @@ class RigCalibration:
     disagreement_mm: dict[str, float] = field(default_factory=dict)
     # (n, 3) mm, board corners in view, where there are no markers.
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    joint: Joint | None = None  # covariance of all cameras, where `fit` does not hold it
 
     @property
     def tolerances(self) -> rig_problem.Tolerances:
@@ -106,7 +107,7 @@ def check_calibrated(capture: Capture) -> None:
 def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibration:
     """Cameras relative to the first, from pictures of one board taken at the same instants."""
     assert capture.board is not None
-    cameras, around = fit_common_views(capture.board, lenses)
+    cameras, around, joint = fit_common_views(capture.board, lenses)
     return RigCalibration(
         cameras,
         "joint",
@@ -116,6 +117,7 @@ def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibr
         capture.markers,
         cameras_before=cameras,
         around=around,
+        joint=joint,
     )
 
 

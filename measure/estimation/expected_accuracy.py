@@ -99,6 +99,26 @@ def body_pose_sd(
     return np.array(position), np.array(rotation)
 
 
+def relative_pose_sd(
+    cameras: Sequence[Camera],
+    body: Body,
+    poses: Sequence[RigidTransform],
+    covariance: Floats,
+    columns: dict[str, Ints],
+) -> tuple[Floats, Floats]:
+    """As `body_pose_sd`, of what remains after the rigid motion that fits all positions best.
+
+    It is what counts where the world is chosen afterwards: that takes common errors out.
+    """
+    moves = np.stack([_by_columns(cameras, body, pose, len(covariance), columns) for pose in poses])
+    rigid = chart_jacobian(np.stack([pose.translation for pose in poses]))
+    turns = np.broadcast_to(np.eye(3, 6, 3), rigid.shape)
+    common = np.linalg.pinv(rigid.reshape(-1, 6)) @ moves[:, :3].reshape(-1, len(covariance))
+    left = moves - np.concatenate([rigid, turns], axis=1) @ common
+    variances = np.einsum("nip,pq,niq->ni", left, covariance, left)
+    return np.sqrt(variances[:, :3].sum(axis=1)), np.sqrt(variances[:, 3:].sum(axis=1))
+
+
 def pose_by_cameras(
     cameras: Sequence[Camera], body: Body, pose: RigidTransform
 ) -> tuple[Floats, ...]:
@@ -131,19 +151,27 @@ def _calibration_covariance(
     covariance: Floats | None,
     columns: dict[str, Ints] | None,
 ) -> Floats:
-    parts = zip(cameras, pose_by_cameras(cameras, body, pose), strict=True)
     if covariance is None or columns is None:
+        parts = zip(cameras, pose_by_cameras(cameras, body, pose), strict=True)
         return sum(
             (part @ c.covariance @ part.T for c, part in parts if c.covariance is not None),
             np.zeros((6, 6)),
         )
-    by_cameras = np.zeros((6, len(covariance)))
-    for camera, part in parts:
+    by_cameras = _by_columns(cameras, body, pose, len(covariance), columns)
+    return by_cameras @ covariance @ by_cameras.T
+
+
+def _by_columns(
+    cameras: Sequence[Camera], body: Body, pose: RigidTransform, size: int, columns: dict[str, Ints]
+) -> Floats:
+    """How the pose moves (6, size) with the rows of a covariance of all cameras."""
+    by_cameras = np.zeros((6, size))
+    for camera, part in zip(cameras, pose_by_cameras(cameras, body, pose), strict=True):
         P = camera.intrinsics.covariance
         free = np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
         own = np.concatenate([np.arange(6), 6 + free])
         by_cameras[:, columns[camera.name]] = part[:, own]
-    return by_cameras @ covariance @ by_cameras.T
+    return by_cameras
 
 
 def _mm_and_deg(covariance: Floats) -> tuple[float, float]:

@@ -63,7 +63,7 @@ def _lenses(board: Board, tilt_deg: float, late: int = 0) -> dict[str, LensCalib
 @pytest.mark.parametrize("corners", [(8, 6), (7, 5), (6, 6), (7, 7), (9, 6)])
 def test_common_views_are_turned_until_they_agree(corners: tuple[int, int]) -> None:
     board = Chessboard(corners, 20.0)
-    found, _ = fit_common_views(board, _lenses(board, 25.0))
+    found, *_ = fit_common_views(board, _lenses(board, 25.0))
     true = _rig()
     for camera, wanted in zip(found, true, strict=True):
         pose = true[0].world_from_camera.inverse() @ wanted.world_from_camera

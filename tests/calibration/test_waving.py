@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 
+from benchmarks.errors import body_cost
+from measure.arrays import rms_length
 from measure.calibration import BoardWave, Corners
-from measure.geometry import RigidTransform
+from measure.calibration.board_views import LENS_MODELS, fit_lens, start_intrinsics
+from measure.calibration.common_views import fit_common_views
+from measure.calibration.intrinsics import LensCalibration
+from measure.calibration.views import ALL_VIEWS, choose_views
+from measure.estimation.expected_accuracy import relative_pose_sd
+from measure.geometry import RigidTransform, align_points
 from measure.model import paper_body
 from tests.studio.waved import SIZE_WH, board, corners, rig, waved
 
@@ -115,3 +123,34 @@ def test_cameras_out_of_step_wait_till_the_board_rests(rng, apart_s, kept):
     resting = [offer(1.1, time_s) for time_s in (1.2, 1.3)]
     assert len(wave.kept) == 1
     assert any(resting) == (not kept)
+
+
+def test_the_expected_error_is_that_of_positions_once_the_world_is_set(rng):
+    """Scatter over draws of noise, after the rigid motion that fits best; before, it is larger."""
+    instants, model = [seen(time_s, rng) for time_s in np.arange(0.0, 40.0, 1.6)], LENS_MODELS[1]
+    world = CAMERAS[0].world_from_camera.inverse()
+    true = tuple(replace(c, world_from_camera=world @ c.world_from_camera) for c in CAMERAS)
+    places = [world.apply(np.array(p)) for p in product((-60, 60), (-60, 60), (-80, 40.0))]
+    poses = [RigidTransform(np.eye(3), place) for place in places]
+    off, told, first = [], [], []
+    for _ in range(8):
+        lenses = {}
+        for camera in CAMERAS:
+            views = [
+                Corners(v.ids, at + rng.normal(0, NOISE_PX, at.shape), 0.4, str(i))
+                for i, one in enumerate(instants)
+                if (v := one.get(camera.name)) is not None
+                for at in [corners(camera, waved(1.6 * i))[v.ids]]
+            ]
+            chosen = choose_views(board(), views, SIZE_WH, camera.name, None, ALL_VIEWS)
+            start = start_intrinsics(SIZE_WH, board().points, chosen.views)
+            fit = fit_lens(start, board().points, chosen.views, model)
+            lenses[camera.name] = LensCalibration(fit, model, {}, (), chosen)
+        cameras, _, joint = fit_common_views(board(), lenses)
+        found = np.stack(places) + body_cost(cameras, true, paper_body(), poses)
+        off.append(align_points(np.stack(places), found).apply(found) - np.stack(places))
+        first.append(found - np.stack(places))
+        told.append(relative_pose_sd(cameras, paper_body(), poses, *joint)[0])
+    scatter, expected = rms_length(np.concatenate(off)), rms_length(np.concatenate(told)[:, None])
+    assert scatter == pytest.approx(expected, rel=0.3)
+    assert rms_length(np.concatenate(first)) > 5 * scatter
