@@ -293,4 +293,4 @@ def check_run(desk, addresses):
     poses = run.poses.filter(run.has_pose).to_pylist()
     assert len(poses) >= 2
     for pose in poses:
-        assert np.linalg.norm([pose[axis] for axis in ("x_mm", "y_mm", "z_mm")]) < 0.2
+        assert np.linalg.norm([pose[axis] for axis in ("x_mm", "y_mm", "z_mm")]) < 0.5
