@@ -152,17 +152,24 @@ class Marking:
         marks: by camera and marker.
     """
 
-    def __init__(self, folder: Path) -> None:
-        """Open a capture; CalibrationError if a lens is not known, or a picture is missing."""
+    def __init__(self, folder: Path, lenses: Path | None = None) -> None:
+        """Open a capture; `lenses` is a calibration of lenses that the capture does not know.
+
+        CalibrationError if one is not known to either, or a picture is missing or of another size.
+        """
         opened = self._opened = open_capture(folder)
+        self._lenses = dict(opened.lenses)
+        for one in read_calibration(lenses).cameras if lenses else ():
+            self._lenses.setdefault(one.name, one.intrinsics)
         self.folder, self.pictures = opened.path.parent, dict[str, Path]()
         for camera in opened.cameras:
             own = matching_files(self.folder, f"{camera.name}.*", CalibrationError)
             file = camera.marker_image or camera.board_image or next(iter(own), None)
-            if camera.name not in opened.lenses or file is None:
+            if camera.name not in self._lenses or file is None:
                 lacks = "a picture" if file is None else "a calibration that knows its lens"
                 raise CalibrationError(f"{opened.path}: camera {camera.name} needs {lacks}")
             self.pictures[camera.name] = self.folder / file
+            self._pixels(camera.name)
         self.points = dict(zip(opened.markers.names, opened.markers.points, strict=True))
         self.marks = {
             name: {marker: _mark(at) for marker, at in opened.marks.get(name, {}).items()}
@@ -182,13 +189,13 @@ class Marking:
         """Mark a marker in a picture, where there is none of its kind as it was clicked."""
         if not name.strip():
             raise ConfigError("which marker is it? give its name or number first")
-        found = refined_mark(self._pixels(camera), at_px, kind, self._opened.lenses[camera])
+        found = refined_mark(self._pixels(camera), at_px, kind, self._lenses[camera])
         mark = self.marks[camera][name] = found or Mark(at_px, refined=False)
         return mark
 
     def _pixels(self, camera: str) -> Bytes:
         (one,) = (c for c in self._opened.cameras if c.name == camera)
-        return self._opened.still(one, str(self.pictures[camera]), self._opened.lenses[camera])
+        return self._opened.still(one, str(self.pictures[camera]), self._lenses[camera])
 
     def propose(
         self,
@@ -202,7 +209,7 @@ class Marking:
         Numbered tags; a body's balls, at their middles; and, once four marks say about where the
         camera stands, the other markers whose places are known.
         """
-        mine, pixels, lens = self.marks[camera], self._pixels(camera), self._opened.lenses[camera]
+        mine, pixels, lens = self.marks[camera], self._pixels(camera), self._lenses[camera]
         found = found_tags(pixels, family)
         if balls is not None:
             body, registry = balls

@@ -38,7 +38,7 @@ class _Marks:
         """Begin with new pictures, or go on with those of a capture."""
         folder, source = self.bench.folder, self.bench.folder / self.source
         if (source / "capture.toml").is_file():
-            marking = api.Marking(source)
+            marking = api.Marking(source, next(iter(calibrations), None))
         elif not calibrations:
             raise ConfigError("choose a calibration, for its lenses: the page before makes it")
         else:

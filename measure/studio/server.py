@@ -27,7 +27,7 @@ from measure.studio.bench import Bench
 from measure.studio.door import Door
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
-_SERVED = (".html", ".csv", ".png", ".jpg", ".pdf")
+_SERVED = (".html", ".csv", ".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pdf")
 _WIDEST_PX = 4000
 _FOREIGN = re.compile(rb"<link[^>]*https://[^>]*>")  # In a page; browsers connect for its sake
 _PATIENCE_S = 60.0  # How long a page waits for a server that compiles, before it is loaded anew
@@ -105,7 +105,7 @@ def _application(bench: Bench) -> FastAPI:
             path = api.inside(bench.folder, name)
         except MeasureError as problem:
             return PlainTextResponse(str(problem), 403)
-        if path.suffix not in _SERVED or not path.is_file():
+        if path.suffix.lower() not in _SERVED or not path.is_file():
             return PlainTextResponse(f"{name}: no such file", 404)
         return FileResponse(path)
 

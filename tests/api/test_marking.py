@@ -10,7 +10,7 @@ from measure import api
 from measure.api.marking import found_tags, refined_mark
 from measure.calibration.boards import Charuco
 from measure.errors import CalibrationError, ConfigError
-from measure.session import Calibration, write_calibration
+from measure.session import Calibration, read_calibration, write_calibration
 from tests.calibration.rigs import cameras, markers
 from tests.studio import waved
 
@@ -126,3 +126,38 @@ def test_corners_are_refined_and_a_plain_ground_has_none(rng):
     plain = np.full((200, 200, 3), 128, np.uint8)
     for kind in ("corner", "dot", "cross"):
         assert refined_mark(plain, (90.0, 80.0), kind, camera.intrinsics) is None
+
+
+def test_a_capture_from_elsewhere_is_marked_by_the_lenses_of_a_calibration(shared):
+    folder = shared / "renders/E_calibration"
+    with pytest.raises(CalibrationError, match="cam0 needs a calibration that knows its lens"):
+        api.Marking(folder)
+    marking = api.Marking(folder, folder / "truth_calibration.toml")
+    before = dict(marking.marks["cam0"])
+    assert len(before) >= 6
+    for name, mark in before.items():
+        again = marking.set("cam0", name, (mark.center_px[0] + 3.0, mark.center_px[1]), "dot")
+        assert again.refined
+        assert np.linalg.norm(np.array(again.center_px) - mark.center_px) < 1.0
+
+
+def test_a_session_is_marked_by_the_outlines_of_its_balls(shared, tmp_path):
+    session, body = shared / "renders/still", shared / "renders/still/body.toml"
+    marking = api.begin_marks(tmp_path / "marks-1", session, session / "calibration.toml", body)
+    true = {c.name: c for c in read_calibration(session / "calibration.toml").cameras}
+    balls = api.read_body(body), api.Registry.discover()
+    found = marking.propose("cam0", api.TAG_FAMILIES[0], "dot", balls)
+    assert {*found} == {*marking.points}
+    for mark in marking.marks["cam0"].values():
+        assert mark.radius_px > 10
+        assert true["cam0"].intrinsics.contains(np.array([mark.center_px]))[0]
+    with pytest.raises(CalibrationError, match="at least 6 markers are needed, 3 are marked"):
+        marking.save()
+
+
+def test_pictures_of_another_size_are_refused_when_they_are_opened(tmp_path):
+    write_calibration(tmp_path / "calibration.toml", Calibration(CAMERAS))
+    for camera in CAMERAS:
+        cv2.imwrite(str(tmp_path / f"{camera.name}.png"), np.zeros((100, 120, 3), np.uint8))
+    with pytest.raises(CalibrationError, match="is 120x100 px, its lens is known for pictures of"):
+        api.begin_marks(tmp_path / "marks-1", tmp_path, tmp_path / "calibration.toml")
