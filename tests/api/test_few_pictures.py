@@ -10,7 +10,7 @@ import pytest
 from measure.api import build_pipeline, load_profile
 from measure.host import Registry
 from measure.session import open_session, read_trajectory, session_truth
-from measure_plugins.detectors import _known_balls
+from measure_plugins.detectors import outline
 
 
 def seen_every(folder, step):
@@ -41,7 +41,7 @@ def test_without_colour_cameras_lose_it(shared, monkeypatch):
     """The control: looks across predicted outlines alone."""
     folder = shared / "renders" / "occluded"
     with_colour, believed = seen_every(folder, 6)
-    monkeypatch.setattr(_known_balls, "lost_in_wide_windows", lambda *_: ())
+    monkeypatch.setattr(outline, "lost_in_wide_windows", lambda *_: ())
     errors, without = seen_every(folder, 6)
     assert np.sqrt(np.mean(errors**2)) > 3 * np.sqrt(np.mean(with_colour**2))
     assert without < believed

@@ -17,7 +17,16 @@ import numpy as np
 from measure.arrays import Floats
 from measure.host import Detector, SelfCalibratingDetector, Settings, hookimpl
 from measure.model import BallColor, Body, Camera, Detection, Expectation, Image
-from measure_plugins.detectors import _known_balls
+from measure_plugins.detectors._known_balls import (
+    FEWER_RAYS,
+    GIVE_UP_SHARE,
+    MIN_RAYS,
+    OutlineConfig,
+    better_of,
+    lost_in_wide_windows,
+    moved_to_circles,
+    radii_about,
+)
 
 if TYPE_CHECKING:
     from measure_plugins._acquisition import FoundCircles
@@ -36,8 +45,8 @@ class OutlineDetector(SelfCalibratingDetector):
 
     name = "outline"
     provides_outlines = True
-    Config = _known_balls.OutlineConfig
-    config: _known_balls.OutlineConfig
+    Config = OutlineConfig
+    config: OutlineConfig
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         super().__init__(config, body, camera)
@@ -132,14 +141,14 @@ class OutlineDetector(SelfCalibratingDetector):
             view,
             rough,
             np.array([self._bits[first] for first, *_ in names], np.int64),
-            (max(c.rays // _known_balls.FEWER_RAYS, _known_balls.MIN_RAYS), c.rays),
+            (max(c.rays // FEWER_RAYS, MIN_RAYS), c.rays),
             c.min_contrast,
-            _known_balls.GIVE_UP_SHARE * c.min_agreement,
+            GIVE_UP_SHARE * c.min_agreement,
             circles.table,
         )
         numbers, sizes = found.numbers.tolist(), rough[:, 2].tolist()
         each = (
-            self._detection(image, ball, _known_balls.radii_about(sizes[i]), i, found, numbers[i])
+            self._detection(image, ball, radii_about(sizes[i]), i, found, numbers[i])
             for i in np.nonzero(found.numbers[:, 1])[0].tolist()
             for ball in names[i]
         )
@@ -188,12 +197,10 @@ class OutlineDetector(SelfCalibratingDetector):
             return []
         view, cones = self._view(image), self._balls.cones(expected)
         found = self._measure_at(image, view, expected, cones)
-        lost = _known_balls.lost_in_wide_windows(expected, found)
+        lost = lost_in_wide_windows(expected, found)
         if moved := self._moved_by_color(view, expected, lost):
             expected, cones = moved, self._balls.cones(moved)
-            found = _known_balls.better_of(
-                found, self._measure_at(image, view, expected, cones), lost
-            )
+            found = better_of(found, self._measure_at(image, view, expected, cones), lost)
         if not self._update_step_gains(view, expected, cones, found):
             return found
         return self._measure_at(image, view, expected, cones)
@@ -206,7 +213,7 @@ class OutlineDetector(SelfCalibratingDetector):
             return []
         circles = dict(zip(self._colors, self._circles(view).of_color, strict=True))
         shown = {e.ball: circles[self.body.balls[self.body.index(e.ball)].color] for e in lost}
-        moved = {e.ball: e for e in _known_balls.moved_to_circles(lost, shown, self.camera)}
+        moved = {e.ball: e for e in moved_to_circles(lost, shown, self.camera)}
         return [moved.get(e.ball, e) for e in expected] if moved else []
 
     def _update_step_gains(
