@@ -24,7 +24,7 @@ from tests.studio.desk import choose, go, press, studio
 
 IMAGES = Path(__file__).parent / "images"
 SIZES = {"": (1440, 900), "-tablet": (800, 1100), "-phone": (420, 800)}
-SHOWN = {"cameras-phone": 320, "marks-tablet": 560, "measure-tablet": 560}
+SHOWN = {"cameras-phone": 320, "marks-tablet": 560, "measure-tablet": 420}
 """Width in px of those in the docs that are not of the first size."""
 WIDTH_PX = 900
 LIVE = "document.querySelectorAll('img.live[src^=blob]').length >= 2"
@@ -47,6 +47,7 @@ def main(folder: Path | None) -> None:
             page.wait_for(LIVE, 30)
             choose(page, "Body to look for", "body.toml")
             page.wait_for("document.body.innerText.includes('green, red, yellow')", 60)
+            page.idle(8.0)
             _take(page, "cameras", folder)
             go(page, address + "measure")
             page.wait_for(f"!!{VIEWER}", 30)

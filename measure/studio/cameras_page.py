@@ -33,13 +33,8 @@ def add(bench: Bench) -> None:
         if not bench.cameras:
             ui.label("No camera yet. Add the first one above.").classes("hint")
         with ui.element("div").classes("cards"):
-            shown = [_Card(bench, one, cards.refresh) for one in bench.cameras]
-
-        def show() -> None:
-            for card in shown:
-                card.show()
-
-        ui.timer(0.5, show)
+            for one in bench.cameras:
+                ui.timer(0.5, _card(bench, one, cards.refresh))
 
 
 def _head(bench: Bench, refresh: Callable[[], object]) -> None:
@@ -79,58 +74,61 @@ def _head(bench: Bench, refresh: Callable[[], object]) -> None:
         ui.button("Set", on_click=set_controls)
 
 
-class _Card:
-    """One camera."""
+def _card(
+    bench: Bench, camera: api.CameraAddress, refresh: Callable[[], object]
+) -> Callable[[], None]:
+    """One camera; gives what shows its state of the moment."""
+    name = camera.name
 
-    def __init__(
-        self, bench: Bench, camera: api.CameraAddress, refresh: Callable[[], object]
-    ) -> None:
-        self._bench, self._name = bench, camera.name
+    async def remove() -> None:
+        others = [one for one in bench.cameras if one.name != name]
+        await tried(lambda: bench.set_cameras(others))
+        refresh()
 
-        async def remove() -> None:
-            others = [one for one in bench.cameras if one.name != camera.name]
-            await tried(lambda: bench.set_cameras(others))
-            refresh()
+    with ui.card().props(f'data-camera="{name}"') as card:
+        picture(name, WIDTH_PX)
+        with ui.row().classes("line"):
+            ui.label(name).classes("text-h6")
+            ui.space()
+            button = ui.button(icon="delete", on_click=remove)
+            button.props(f'flat dense aria-label="remove {name}"')
+        with ui.element("div").classes("facts"):
+            labels = {what: (ui.label(what), ui.label())[1] for what in _FACTS}
 
-        with ui.card().props(f'data-camera="{camera.name}"') as self._card:
-            picture(camera.name, WIDTH_PX)
-            with ui.row().classes("line"):
-                ui.label(camera.name).classes("text-h6")
-                ui.space()
-                ui.button(icon="delete", on_click=remove).props(
-                    f'flat dense aria-label="remove {camera.name}"'
-                )
-            with ui.element("div").classes("facts"):
-                self._facts = {what: (ui.label(what), ui.label())[1] for what in _FACTS}
+    def show() -> None:
+        put(card, "away", bool(bench.problem(name)))
+        for what, (text, kind) in _told(bench, name).items():
+            labels[what].text = text
+            labels[what].classes(replace=kind)
 
-    def show(self) -> None:
-        """Show the state of this moment."""
-        now = self._bench.now.get(self._name)
-        problem = "not read" if now is None else now.problem
-        put(self._card, "away", bool(problem))
-        self._say("state", problem or "delivers", "wrong" if problem else "good")
-        if now is None:
-            return
-        count = now.count
-        self._say("rate", "" if math.isnan(count.rate_hz) else f"{count.rate_hz:.1f} per s")
-        self._say("drops", f"{len(count.outages)} outages, {count.refused} torn",
-                  "weak" if count.outages or count.refused else "")  # fmt: skip
-        self._say("times", "its own clock" if count.own_clock else "of arrival")
-        if (facts := self._bench.preview.facts(self._name)) is not None:
-            self._judge(facts)
-        balls = self._bench.preview.balls(self._name)
-        self._say("balls", ", ".join(balls) if balls else "none" if self._bench.body else "")
+    return show
 
-    def _judge(self, facts: api.PictureFacts) -> None:
-        blurred = facts.sharpness < _BLURRED
-        size = f"{facts.size_wh[0]} x {facts.size_wh[1]} px"
-        sharp = f"{facts.sharpness:.2f} per px, {size}" + (", blurred" if blurred else "")
-        self._say("sharpness", sharp, "weak" if blurred else "")
-        clipped, dark = facts.clipped_share > _CLIPPED, facts.level < _DARK
-        told = f"brightest {100 * facts.level:.0f} %, overexposed {100 * facts.clipped_share:.1f} %"
-        word = ", too bright" if clipped else ", dark" if dark else ""
-        self._say("exposure", told + word, "weak" if word else "")
 
-    def _say(self, what: str, text: str, kind: str = "") -> None:
-        self._facts[what].text = text
-        self._facts[what].classes(replace=kind)
+def _told(bench: Bench, name: str) -> dict[str, tuple[str, str]]:
+    """What each line says, and how it is meant."""
+    problem, balls = bench.problem(name), bench.preview.balls(name)
+    told = {"state": (problem or "delivers", "wrong" if problem else "good")}
+    if name in bench.now:
+        count = bench.now[name].count
+        lost = "weak" if count.outages or count.refused else ""
+        rate = "" if math.isnan(count.rate_hz) else f"{count.rate_hz:.1f} per s"
+        told |= {
+            "rate": (rate, ""),
+            "times": ("its own clock" if count.own_clock else "of arrival", ""),
+        }
+        told["drops"] = f"{len(count.outages)} outages, {count.refused} torn", lost
+        told["balls"] = ", ".join(balls) or ("none" if bench.body else ""), ""
+    facts = bench.preview.facts(name)
+    return told if facts is None else told | _judged(facts)
+
+
+def _judged(facts: api.PictureFacts) -> dict[str, tuple[str, str]]:
+    blurred, clipped = facts.sharpness < _BLURRED, facts.clipped_share > _CLIPPED
+    size = f"{facts.size_wh[0]} x {facts.size_wh[1]} px"
+    sharp = f"{facts.sharpness:.2f} per px, {size}" + (", blurred" if blurred else "")
+    told = f"brightest {100 * facts.level:.0f} %, overexposed {100 * facts.clipped_share:.1f} %"
+    word = ", too bright" if clipped else ", dark" if facts.level < _DARK else ""
+    return {
+        "sharpness": (sharp, "weak" if blurred else ""),
+        "exposure": (told + word, "weak" if word else ""),
+    }

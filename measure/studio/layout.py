@@ -93,9 +93,8 @@ def choice(
     names = [str(file.relative_to(bench.folder)) for file in files]
     first = names[:1] if newest else []
     value = first if several else next(iter(first), None)
-    return ui.select(names, label=label, value=value, multiple=several, clearable=True).classes(
-        "field"
-    )
+    made = ui.select(names, label=label, value=value, multiple=several, clearable=True)
+    return made.classes("field")
 
 
 def chosen(bench: Bench, select: ui.select) -> list[Path]:
@@ -128,7 +127,8 @@ def camera_card(bench: Bench, name: str, width_px: int, line: Callable[[], str])
     with ui.card() as card:
         picture(name, width_px)
         told(line)
-        ui.timer(0.5, lambda: put(card, "away", bool(bench.problem(name))))
+        # While a board is watched nobody counts pictures, and no camera is called away.
+        ui.timer(0.5, lambda: put(card, "away", name in bench.now and bool(bench.problem(name))))
     return card
 
 

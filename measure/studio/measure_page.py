@@ -42,8 +42,9 @@ class _Live:
         calibration = next(iter(calibrations), None)
 
         def work(job: Job) -> str:
-            self.session, self.run, self.report = session, None, None
+            self.session, self.run, self.report = None, None, None
             recorded = bench.record(job, session, self.seconds, calibration, bodies)
+            self.session = session
             pictures = sum(count.pictures for count in recorded.cameras.values())
             return f"{session.name}: {pictures} pictures of {len(recorded.cameras)} cameras"
 
@@ -64,7 +65,7 @@ class _Live:
         )
 
         def work(job: Job) -> str:
-            self.run, self.session, self.report, self.state = run, options.record, None, None
+            self.run, self.session, self.report, self.state = run, None, None, None
             self.rests = {body.name: api.RestsSoFar(body, rig) for body in read}
             with ExitStack() as stack:
                 stack.callback(setattr, bench, "viewer", "")
@@ -74,7 +75,7 @@ class _Live:
                     made = replace(made, viewer=listens, image_every=10)
                 to = run, calibrations[0], bodies, profile, bench.registry, made
                 summary = api.live(cameras, *to, self._hear).summary
-            self.report = api.report(run)
+            self.session, self.report = options.record, api.report(run)
             return f"{run.name}: {summary.frame_sets} frame sets, {summary.ok} of them believed"
 
         bench.begin(f"measuring {run.name}", work, needs_cameras=True)
