@@ -90,10 +90,11 @@ def test_a_figure_that_cannot_be_drawn_is_noticed(run: Path, page: Chromium, tmp
     remote = '<img src="http://127.0.0.1:9/x.png">'
     (tmp_path / "bad.html").write_text(page_text.replace("<main>", f"<main>{remote}"), "utf-8")
     page.open((tmp_path / "bad.html").as_uri())
+    missing = "Plotly.none is not a function"
+    page.wait_until(lambda: any(missing in error for error in page.errors), missing, 60)
     page.wait_for("document.readyState == 'complete'", 60)
     page.idle(0.5)
     assert not page.evaluate(DRAWN)
-    assert any("Plotly.none is not a function" in error for error in page.errors)
     assert "http://127.0.0.1:9/x.png" in page.requests
 
 
