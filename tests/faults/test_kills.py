@@ -118,7 +118,8 @@ def test_a_second_writer_is_refused_and_readers_are_not(
     step = whole.stages()["measuring"][5]
     others, first = second_writers(whole.case, out, step)
     reader = others.pop("evaluate")
-    assert reader.code == 0, reader.said
+    # Rows are written for readers twice a second: there may be none yet.
+    assert reader.code == 0 or "holds no frame set yet" in reader.said, reader.said
     for name, ended in others.items():
         assert ended.code == 2, name
         assert ended.said.count("\n") == 1, ended.said
