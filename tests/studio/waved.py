@@ -59,8 +59,9 @@ def picture(camera: Camera, world_from_board: RigidTransform, rng: np.random.Gen
     camera_from_board = camera.world_from_camera.inverse() @ world_from_board
     size_mm = np.array(board().squares) * board().square_mm
     wh = tuple((size_mm * _PX_PER_MM).astype(int).tolist())
+    drawn, margin = board().pattern.generateImage(wh), 40 * _PX_PER_MM
     sheet = cv2.copyMakeBorder(
-        board().pattern.generateImage(wh), *[40 * _PX_PER_MM] * 4, cv2.BORDER_CONSTANT, value=255
+        drawn, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=255
     )
     to_mm = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, _PX_PER_MM]]) / _PX_PER_MM
     to_mm[:2, 2] -= 40.0
