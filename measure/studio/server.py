@@ -12,7 +12,7 @@ from contextlib import suppress
 from importlib import resources
 from pathlib import Path
 from urllib.parse import quote
-from urllib.request import urlopen
+from urllib.request import ProxyHandler, build_opener
 
 import uvicorn
 from fastapi import FastAPI
@@ -126,11 +126,15 @@ def _application(bench: Bench) -> FastAPI:
 
 def add_viewer(application: FastAPI, bench: Bench) -> None:
     """The viewer's files by this server, as the door lets them ask no other for anything."""
+    to_this_machine = build_opener(ProxyHandler({}))
 
     @application.get("/viewer/{name:path}")
     def viewer(name: str) -> Response:
         if not bench.viewer:
             return PlainTextResponse("the viewer is there while something is measured", 404)
-        with urlopen(f"{bench.viewer.partition('?')[0]}/{quote(name)}") as found:
-            content, kind = found.read(), found.headers["Content-Type"]
+        try:
+            with to_this_machine.open(f"{bench.viewer.partition('?')[0]}/{quote(name)}") as found:
+                content, kind = found.read(), found.headers["Content-Type"]
+        except OSError as problem:  # no such file, or the viewer has just ended
+            return PlainTextResponse(f"{name}: {problem}", 404)
         return Response(content if name else _FOREIGN.sub(b"", content), media_type=kind)

@@ -6,6 +6,8 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from urllib.error import HTTPError
+from urllib.request import ProxyHandler, build_opener
 
 import pytest
 import uvicorn
@@ -60,3 +62,15 @@ def test_the_viewer_asks_this_machine_alone(tmp_path):
         assert foreign(page) == []
         page.open(viewer)
         page.wait_until(lambda: bool(foreign(page)), "without the door it asks others", 60)
+
+
+def test_a_laboratorys_proxy_is_not_asked_for_it(tmp_path, monkeypatch):
+    bench = Bench(tmp_path, api.Registry.discover(), True, api.CaptureRequest())
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    browser = build_opener(ProxyHandler({}))
+    with api.web_viewer() as (bench.viewer, _), served(bench) as address:
+        assert b"<html" in browser.open(address, timeout=20).read()
+        with pytest.raises(HTTPError, match="404"):
+            browser.open(f"{address}nothing.js", timeout=20)
+    with served(bench) as address, pytest.raises(HTTPError, match="404"):
+        browser.open(address, timeout=20)
