@@ -311,13 +311,13 @@ def robot_traces(
     if model is not None:
         model.check(schema)
         corrector = Corrector(model)
-        done = [(table.times_s, corrector.correct(table)) for table in read_states(log, model)]
-        at = np.searchsorted(np.concatenate([t for t, _ in done]), data.times_s, side="right") - 1
+        pieces = ((table, corrector.correct(table)) for table in read_states(log, model))
+        rows = [(p.times_s, c.errors_mm, c.sd_mm, c.unfamiliar) for p, c in pieces]
+        times_s, *known = map(np.concatenate, zip(*rows, strict=True))
+        at = np.searchsorted(times_s, data.times_s, side="right") - 1
         began = at >= 0
-        errors[began], sd[began], unfamiliar[began] = (
-            np.concatenate([getattr(part, name) for _, part in done])[at[began]]
-            for name in ("errors_mm", "sd_mm", "unfamiliar")
-        )
+        for own, corrected in zip((errors, sd, unfamiliar), known, strict=True):
+            own[began] = corrected[at[began]]
     measured = reported + np.where(data.usable[:, None], data.errors_mm, np.nan)
     return RobotTraces(
         data.times_s - offset, measured, reported, reported + errors, sd, unfamiliar, offset
