@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -18,23 +19,14 @@ from measure.calibration.views import ALL_VIEWS, choose_views
 from measure.estimation.expected_accuracy import relative_pose_sd
 from measure.geometry import RigidTransform, align_points
 from measure.model import paper_body
-from tests.studio.waved import SIZE_WH, board, corners, rig, waved
+from tests.studio.waved import NOISE_PX, SIZE_WH, board, corners, looked_at, rig, waved
 
-NOISE_PX = 0.05
 CAMERAS = rig()
 NAMES = [camera.name for camera in CAMERAS]
 
 
-def seen(time_s, rng, sharpness=0.4):
-    """What the cameras see of the waved board at a time: the corners inside their pictures."""
-    views = {}
-    for camera in CAMERAS:
-        at = corners(camera, waved(time_s))
-        ids = np.flatnonzero(camera.intrinsics.contains(at))
-        if len(ids) > 10:
-            noisy = at[ids] + rng.normal(0, NOISE_PX, (len(ids), 2))
-            views[camera.name] = Corners(ids, noisy, sharpness, "")
-    return views
+seen = partial(looked_at, CAMERAS)
+"""What the cameras see of the waved board at a time."""
 
 
 def wave_of(goal_mm=1.0):

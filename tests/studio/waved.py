@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
 from measure.api import shipped_targets
 from measure.arrays import Bytes, Floats
-from measure.calibration import Charuco, read_board
+from measure.calibration import Charuco, Corners, read_board
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 
 TARGET = "charuco_8x5_27"
-SIZE_WH = (640, 480)
+SIZE_WH, NOISE_PX = (640, 480), 0.05
 _PX_PER_MM, _FINER, _DOT_MM = 4, 3, 2.0
 
 
@@ -52,6 +54,20 @@ def waved(time_s: float) -> RigidTransform:
 def corners(camera: Camera, world_from_board: RigidTransform) -> Floats:
     """Where the board's corners appear (n, 2)."""
     return camera.project(world_from_board.apply(board().points))
+
+
+def looked_at(
+    cameras: Sequence[Camera], time_s: float, rng: np.random.Generator, sharpness: float = 0.4
+) -> dict[str, Corners]:
+    """The waved board's corners inside the cameras' pictures, with noise, without drawing it."""
+    views = {}
+    for camera in cameras:
+        at = corners(camera, waved(time_s))
+        ids = np.flatnonzero(camera.intrinsics.contains(at))
+        if len(ids) > 10:
+            noisy = at[ids] + rng.normal(0, NOISE_PX, (len(ids), 2))
+            views[camera.name] = Corners(ids, noisy, sharpness, "")
+    return views
 
 
 def picture(camera: Camera, world_from_board: RigidTransform, rng: np.random.Generator) -> Bytes:
