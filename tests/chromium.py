@@ -107,7 +107,11 @@ class Chromium:
         Raises:
             TimeoutError: it did not come true in time.
         """
-        self.wait_until(lambda: bool(self.evaluate(expression)), expression, timeout_s)
+        try:
+            self.wait_until(lambda: bool(self.evaluate(expression)), expression, timeout_s)
+        except TimeoutError as problem:
+            said = self.evaluate("document.body.innerText")
+            raise TimeoutError(f"{problem}; the page says: {said}") from None
 
     def wait_until(self, done: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Let the page work until `done`.

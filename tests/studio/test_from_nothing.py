@@ -87,13 +87,15 @@ def at_rest(picture, rng):
 
 
 def test_from_an_empty_folder_to_a_measured_run(tmp_path, rng):
-    desk, balls = tmp_path / "desk", ball_pictures(tmp_path / "balls")
-    served = {n: ServedCamera(p, PERIOD_S, stamps=True) for n, p in board_pictures(rng).items()}
+    desk, balls, boards = tmp_path / "desk", ball_pictures(tmp_path / "balls"), board_pictures(rng)
+    served = {n: ServedCamera(some, PERIOD_S, stamps=True) for n, some in boards.items()}
     with serving(served) as addresses, studio(desk) as address, Chromium(1280, 800) as page:
         go(page, address)
         add_cameras(page, addresses)
         turn_to(page, "Calibration")
         wave_the_board(page)
+        serve(served, {n: at_rest(some[0], rng) for n, some in boards.items()})
+        calibrate_by_the_board_as_it_lies(page)
         true = check_pair(desk, 1.5, 0.3)
         serve(served, {c.name: [jpeg(waved.dots(c, FIELD.points))] for c in true})
         turn_to(page, "Marks")
@@ -140,7 +142,7 @@ def add_cameras(page, addresses):
 
 
 def wave_the_board(page):
-    """Advice comes till nothing is missing; then the world is where the board lies."""
+    """Advice comes till nothing is missing."""
     press(page, "draw it")
     page.wait_for(f"!!document.querySelector('a[href$=\"{waved.TARGET}.pdf\"]')", 20)
     count(page)  # The link to it
@@ -149,6 +151,10 @@ def wave_the_board(page):
     page.wait_for(f"{ADVICE}.includes('cam')", 30)
     page.wait_for(f"/capture-1: .*good enough/.test({FOOT})", 120)
     assert page.evaluate(ADVICE) == "enough"
+
+
+def calibrate_by_the_board_as_it_lies(page):
+    """It is at rest by now, where both cameras see it."""
     press(page, "calibrate$")
     page.wait_for("!!document.querySelector('a[href$=\"calibration.html\"]')", 120)
     judgement = "document.querySelector('[data-judgement]').innerText"
