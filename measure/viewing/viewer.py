@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -15,6 +16,7 @@ from measure.errors import ConfigError, RunError
 
 LOOPBACK = "127.0.0.1"
 _MAGIC = b"RRF"  # What every .rrd file begins with
+_PATIENCE_S = 60.0  # How long a viewer may take until browsers are heard
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,21 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
         address = f"http://{bind}:{web_port}?url={listens.replace('+', '%2B')}"
     # In a session of its own it outlives the Ctrl-C that ends a measurement.
     process = subprocess.Popen(command, stdout=sys.stderr, start_new_session=True)
+    if web:
+        _wait_until_served(process, bind, web_port)
     return Viewer(process, address, listens)
+
+
+def _wait_until_served(process: subprocess.Popen[bytes], bind: str, port: int) -> None:
+    """A page that is fetched before would stay empty."""
+    until_s = time.monotonic() + _PATIENCE_S
+    while process.poll() is None and time.monotonic() < until_s:
+        with socket.socket() as probe:
+            if probe.connect_ex((bind, port)) == 0:
+                return
+        time.sleep(0.02)
+    process.kill()
+    raise RunError(f"the Rerun viewer served nothing, and ended with code {process.wait()}")
 
 
 def _refuse_what_is_no_recording(path: Path) -> None:

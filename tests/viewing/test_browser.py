@@ -7,7 +7,6 @@ import re
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -118,7 +117,6 @@ def test_the_web_viewer_shows_a_run_from_loopback(run: Path, page: Chromium):
         assert found, address
         web, data = f"http://127.0.0.1:{found[1]}/", f"http://{found[2]}/"
         assert data.startswith("http://127.0.0.1:")
-        _wait_for_port(int(found[1]))
         page.open(address)
         page.wait_until(
             lambda: any(a.startswith(data) for a in page.requests), "the data are fetched", 120
@@ -133,12 +131,3 @@ def test_the_web_viewer_shows_a_run_from_loopback(run: Path, page: Chromium):
         assert len(np.unique(np.frombuffer(page.screenshot(), np.uint8))) > 100
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", int(found[1]))), "the viewer outlives `measure view`"
-
-
-def _wait_for_port(port: int) -> None:
-    for _ in range(150):
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.2)
-    raise AssertionError(f"nothing listens on port {port}")

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import socket
+import sys
 from dataclasses import replace
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 import rerun as rr
 from measurements import BODY, CAMERAS, measurement
 
-from measure.errors import ConfigError
+from measure.errors import ConfigError, RunError
 from measure.geometry import RigidTransform
 from measure.model import Image
 from measure.model.observations import BallView, Reason, State
@@ -106,6 +109,30 @@ def test_a_viewer_outlives_the_interrupt_of_who_opened_it(tmp_path, monkeypatch)
     finally:
         process.kill()
         process.wait()
+
+
+def test_a_viewer_for_browsers_hears_them_when_it_is_opened(tmp_path, monkeypatch):
+    program = tmp_path / "viewer"
+    program.write_text(
+        f"#!{sys.executable}\nimport socket, sys, time\ntime.sleep(0.7)\n"
+        "port = int(sys.argv[sys.argv.index('--web-viewer-port') + 1])\n"
+        "with socket.create_server(('127.0.0.1', port)):\n    time.sleep(60)\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr(viewer, "viewer_program", lambda: str(program))
+    opened = viewer.open_viewer([], web=True)
+    try:
+        place = urlsplit(opened.address)
+        socket.create_connection((place.hostname, place.port), 5.0).close()
+    finally:
+        opened.process.kill()
+        opened.process.wait()
+
+
+def test_a_viewer_that_ends_before_it_serves_is_named(monkeypatch):
+    monkeypatch.setattr(viewer, "viewer_program", lambda: "false")
+    with pytest.raises(RunError, match="served nothing, and ended with code 1"):
+        viewer.open_viewer([], web=True)
 
 
 def test_error_trace_is_the_error_with_gaps_without_pose(recorded):
