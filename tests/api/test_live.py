@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sinks import free_port
-from measure.api import events
+from measure.api import LiveOptions, events, live, parse_cameras
 from measure.api import run as measure_run
 from measure.api.profiles import load_profile
 from measure.cli import main
@@ -150,10 +150,10 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
         assert sent["time_s"] == pytest.approx(time_s, abs=1e-6)
         assert [sent[axis] for axis in ("x_mm", "y_mm", "z_mm")] == pytest.approx(place, abs=1e-6)
         assert np.reshape(sent["covariance"], (6, 6)).diagonal().min() > 0
-    live = read_run(run)
-    assert live.finished
-    assert live.session == kept / "session.toml"
-    assert not live.provenance["profile"]["smoothing"]
+    measured = read_run(run)
+    assert measured.finished
+    assert measured.session == kept / "session.toml"
+    assert not measured.provenance["profile"]["smoothing"]
     assert main(["report", str(run)]) == 0
     assert (run / "run.rrd").stat().st_size > 10_000
     again = measure_run(kept, tmp_path / "again", load_profile("precise"), Registry.discover())
@@ -190,15 +190,20 @@ def test_a_request_to_end_ends_it_as_it_should_end(session, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_camera_beside_its_place_is_flagged(session, tmp_path, capsys):
+def test_a_camera_beside_its_place_is_flagged(session, tmp_path):
     """Two cameras' addresses exchanged: nothing of it is believed."""
-    cameras = served(session)
-    with serving(cameras) as addresses:
+    out, rig, stop = tmp_path / "run", session / "calibration.toml", threading.Event()
+
+    def hear(state):
+        if state.frame_sets > 3:
+            stop.set()
+
+    with serving(served(session)) as addresses:
         addresses["cam0"], addresses["cam1"] = addresses["cam1"], addresses["cam0"]
-        out = tmp_path / "run"
-        assert main([*words("live", session, addresses, out, "--seconds", "8"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["frame_sets"] > 3
+        cameras = parse_cameras([f"{name}={address}" for name, address in addresses.items()])
+        how = load_profile("precise"), Registry.discover(), LiveOptions(seconds=60.0, stop=stop)
+        end = live(cameras, out, rig, [session / "body.toml"], *how, hear)
+    assert end.summary.frame_sets > 3
     wrong = read_run(out)
     believed = [row for row in wrong.poses.to_pylist() if row["status"] == "ok"]
     assert believed == []

@@ -68,9 +68,15 @@ def choose(page: Chromium, label: str, text: str) -> None:
     field = f"""[...document.querySelectorAll('.q-select')]
         .find(s => s.innerText.includes({label!r}))"""
     page.wait_for(f"!!{field}", 20)
-    page.evaluate(f"{field}.querySelector('.q-field__control').click()")
     option = f"[...document.querySelectorAll('.q-menu .q-item')].find(i => i.innerText == {text!r})"
-    page.wait_for(f"!!{option}", 20)
+    closed = "!document.querySelector('.q-menu')"
+    click = f"{field}.querySelector('.q-field__control').click()"
+
+    def is_there() -> bool:
+        """A page that has much to do may miss a click."""
+        return bool(page.evaluate(f"!!{option} || ({closed} && {click}, false)"))
+
+    page.wait_until(is_there, f"{text} can be chosen", 60)
     page.evaluate(f"{option}.click()")
     count(page, 2)
 
