@@ -6,8 +6,9 @@ A board is waved before four cameras and rendered. The cameras are calibrated by
 `measure capture` would keep until they are enough, and by all. Printed are errors of the body's
 position against the truth over the workspace, in mm (RMS, 3-D): in the first camera's frame; after
 the rigid motion that fits the positions best, which is what remains once the world is put where a
-board or a body lies; of distances between positions; and the second again together with the noise
-of a measurement, 0.05 px of each ball's centre in each picture.
+board or a body lies; what the cameras' covariances state; errors of distances between positions;
+and the second again together with the noise of a measurement, 0.05 px of each ball's centre in each
+picture.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from measure.calibration import BoardWave, Corners
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import calibrate_lens
 from measure.calibration.views import ALL_VIEWS, choose_views
-from measure.estimation.expected_accuracy import noise_sd
+from measure.estimation.expected_accuracy import body_pose_sd, noise_sd
 from measure.geometry import RigidTransform, align_points
 from measure.model import Camera, paper_body
 from tests.studio.waved import SIZE_WH, board, picture, rig, waved
@@ -73,7 +74,7 @@ def calibrated(names: Sequence[str], instants: Sequence[Views]) -> tuple[Camera,
 
 
 def errors_mm(found: Sequence[Camera], true: Sequence[Camera]) -> tuple[float, ...]:
-    """In the first camera's frame; after the best rigid motion; of distances; with noise."""
+    """What is printed of cameras, the first one's frame being their world."""
     world = true[0].world_from_camera.inverse()
     there = tuple(replace(c, world_from_camera=world @ c.world_from_camera) for c in true)
     rng = np.random.default_rng(1)
@@ -88,7 +89,8 @@ def errors_mm(found: Sequence[Camera], true: Sequence[Camera]) -> tuple[float, .
     far, near = (np.linalg.norm(p[ends[0]] - p[ends[1]], axis=1) for p in (at + off, at))
     noise = [noise_sd(pose, paper_body(), there, NOISE_PX)[0] for pose in poses]
     total = np.hypot(left, rms_length(np.array(noise)[:, None]))
-    return rms(off), left, rms((far - near)[:, None]), float(total)
+    stated = rms_length(body_pose_sd(found, paper_body(), poses)[0][:, None])
+    return rms(off), left, stated, rms((far - near)[:, None]), float(total)
 
 
 def main() -> None:
@@ -103,8 +105,8 @@ def main() -> None:
     kept, after = chosen(cameras, instants, given.rate, given.goal_mm)
     names = [c.name for c in cameras]
     print(f"enough after {after / given.rate:.0f} s: {len(kept)} of {len(instants)} instants kept")
-    print("| calibrated by | first camera's frame | aligned | distances | aligned, with noise |")
-    print("|---|---|---|---|---|")
+    print("| calibrated by | first camera's frame | aligned | stated | distances | with noise |")
+    print("|---|---|---|---|---|---|")
     for what, some in (("the pictures kept", kept), ("all pictures", instants)):
         row = errors_mm(calibrated(names, some), cameras)
         print(f"| {what} | " + " | ".join(f"{mm:.4f}" for mm in row) + " |")

@@ -23,7 +23,7 @@ from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.least_squares import LeastSquaresSolution
 from measure.errors import CalibrationError
-from measure.geometry import RigidTransform, UncertainTransform, skew
+from measure.geometry import RigidTransform, UncertainTransform, chart_jacobian, skew
 from measure.model import Camera
 
 _HUBER_REACH = 4.0
@@ -46,9 +46,11 @@ def fit_common_views(
 
     Pictures of one instant carry the same number in their names, or are frames of that number. Also
     gives the board's corners in the world at all instants (n, 3) mm, and the covariance of all
-    cameras together, with the rows that are each camera's (`body_pose_sd`). CalibrationError: a
-    camera shares fewer than three views with those already placed, its pictures contradict the
-    others', or the views do not tell how a board was turned that looks the same after a turn.
+    cameras together, camera after camera, with the rows that are each one's (`body_pose_sd`): it is
+    that of the rig's shape, as positions where the board was do not move with it as a whole.
+    CalibrationError: a camera shares fewer than three views with those already placed, its pictures
+    contradict the others', or the views do not tell how a board was turned that looks the same
+    after a turn.
     """
     views = {
         name: {_instant(v.source): v for v in lens.views.views} for name, lens in lenses.items()
@@ -65,9 +67,10 @@ def fit_common_views(
     solution = problem.solve(start, _HUBER_REACH)
     poses = solution.state.world_from_board
     corners = np.einsum("fij,nj->fni", poses.rotation, board.points) + poses.translation[:, None]
-    found, joint = _answer(solution, problem)
+    points = corners.reshape(-1, 3)
+    found, joint = _answer(solution, problem, points)
     _check_instants(found, lenses)
-    return found, corners.reshape(-1, 3), joint
+    return found, points, joint
 
 
 def _check_instants(cameras: tuple[Camera, ...], lenses: Mapping[str, LensCalibration]) -> None:
@@ -163,20 +166,57 @@ def _turned(points: Floats, turn: Ints) -> RigidTransform:
 
 
 def _answer(
-    solution: LeastSquaresSolution[BoardState], problem: BoardProblem
+    solution: LeastSquaresSolution[BoardState], problem: BoardProblem, points: Floats
 ) -> tuple[tuple[Camera, ...], Joint]:
-    size, out, columns = len(solution.covariance), list[Camera](), dict[str, Ints]()
-    together = np.zeros((size + 6, size + 6))
-    together[:size, :size] = solution.covariance * max(solution.variance_factor, 1.0)
-    for camera, group, seen in zip(
-        solution.state.cameras, solution.linearised.groups, problem.views, strict=True
-    ):
-        # The first camera is the world: of its pose, in the last rows, nothing is unknown.
-        pose = np.arange(size, size + 6) if not out else np.zeros(0, dtype=np.int64)
-        own = columns[camera.name] = np.concatenate([pose, group.columns])
-        rms = rms_length(group.residuals * seen.sd_px)
-        out.append(with_covariance(camera, together[np.ix_(own, own)], seen.free, rms))
-    return tuple(out), (together, columns)
+    """The cameras with their covariances, for positions (n, 3) in their view."""
+    cameras, free = solution.state.cameras, [seen.free for seen in problem.views]
+    size = 6 + len(solution.covariance)
+    columns = np.split(np.arange(size), np.cumsum([6 + len(own) for own in free])[:-1])
+    # The first camera is the world: of its pose, in the first rows, nothing is unknown.
+    covariance = np.zeros((size, size))
+    covariance[6:, 6:] = solution.covariance * max(solution.variance_factor, 1.0)
+    shape = _about_positions(cameras, free, columns, points)
+    covariance = shape @ covariance @ shape.T
+    rows = zip(cameras, columns, problem.views, solution.linearised.groups, strict=True)
+    out = tuple(
+        with_covariance(
+            camera, covariance[np.ix_(own, own)], seen.free, rms_length(g.residuals * seen.sd_px)
+        )
+        for camera, own, seen, g in rows
+    )
+    names = [camera.name for camera in cameras]
+    return out, (covariance, dict(zip(names, columns, strict=True)))
+
+
+def _about_positions(
+    cameras: Sequence[Camera], free: Sequence[Ints], columns: Sequence[Ints], points: Floats
+) -> Floats:
+    """What takes errors of cameras and free lens parameters (p,) to those of the rig's shape (p,).
+
+    Errors of the first camera, as the world, are errors of all positions alike, and cameras by
+    themselves would not tell so. The world is therefore moved with the positions (n, 3) that two
+    cameras see, as a whole (S-transformation; Baarda 1973, Publications on Geodesy 5.1).
+    """
+    size = sum(map(len, columns))
+    normal, moved = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3, size))
+    seen_by = np.zeros(len(points), dtype=np.int64)
+    for camera, own, rows in zip(cameras, free, columns, strict=True):
+        pixels, by_world, by_pose, by_lens = camera.project_with_jacobians(points)
+        seen = np.flatnonzero(camera.intrinsics.contains(pixels))
+        back = by_world[seen].transpose(0, 2, 1)
+        normal[seen] += back @ by_world[seen]
+        by_camera = np.concatenate([by_pose[seen], by_lens[seen][..., own]], axis=2)
+        moved[np.ix_(seen, np.arange(3), rows)] += back @ by_camera
+        seen_by[seen] += 1
+    both = seen_by > 1
+    # A camera that moves one way sees all positions move the other way.
+    placed = -np.linalg.solve(normal[both], moved[both]).reshape(-1, size)
+    whole = np.linalg.pinv(chart_jacobian(points[both]).reshape(-1, 6)) @ placed
+    out = np.eye(size)
+    for camera, rows in zip(cameras, columns, strict=True):
+        out[rows[:3]] -= chart_jacobian(camera.center) @ whole
+        out[rows[3:6]] -= whole[3:]
+    return out
 
 
 _View = tuple[Camera, Corners]

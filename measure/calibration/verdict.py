@@ -24,7 +24,7 @@ from measure.calibration.procedure import RigCalibration
 from measure.calibration.rig_problem import MarkerObservation, RigObservations
 from measure.checking import Finding, Level, worst_first
 from measure.errors import CalibrationError
-from measure.estimation.expected_accuracy import body_pose_sd, relative_pose_sd
+from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import Rays, RigidTransform, nearest_point
 from measure.model import Body, Camera
 
@@ -67,11 +67,7 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
     if floor_z_mm is None and len(markers) and markers[:, 2].min() >= 0:
         floor_z_mm = 0.0
     poses = [RigidTransform(np.eye(3), point) for point in workspace.grid()]
-    if rig.joint is not None:
-        position, rotation = relative_pose_sd(rig.cameras, body, poses, *rig.joint)
-    else:
-        joint = (None, None) if rig.fit is None else (rig.fit.covariance, rig.fit.columns)
-        position, rotation = body_pose_sd(rig.cameras, body, poses, *joint)
+    position, rotation = body_pose_sd(rig.cameras, body, poses, *(rig.joint or (None, None)))
     held_out_px, held_out_mm = _held_out(rig)
     scale, scale_findings = _scale(rig)
     findings = plausibility(rig.cameras, workspace, floor_z_mm)

@@ -16,7 +16,7 @@ from measure.calibration.findings import workspace_of
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.views import ALL_VIEWS, MIN_VIEWS, choose_views, outline
 from measure.errors import CalibrationError, DegenerateGeometryError
-from measure.estimation.expected_accuracy import relative_pose_sd
+from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Intrinsics
 
@@ -175,7 +175,7 @@ class BoardWave:
             cameras, around, joint = fit_common_views(self.board, lenses)
             places = workspace_of(cameras, around).grid()
             poses = [RigidTransform(np.eye(3), place) for place in places]
-            return rms_length(relative_pose_sd(cameras, self.body, poses, *joint)[0][:, None])
+            return rms_length(body_pose_sd(cameras, self.body, poses, *joint)[0][:, None])
         except (CalibrationError, DegenerateGeometryError, ValueError):
             return float("nan")  # too few views, or too much alike
 

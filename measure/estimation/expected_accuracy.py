@@ -99,26 +99,6 @@ def body_pose_sd(
     return np.array(position), np.array(rotation)
 
 
-def relative_pose_sd(
-    cameras: Sequence[Camera],
-    body: Body,
-    poses: Sequence[RigidTransform],
-    covariance: Floats,
-    columns: dict[str, Ints],
-) -> tuple[Floats, Floats]:
-    """As `body_pose_sd`, of what remains after the rigid motion that fits all positions best.
-
-    It is what counts where the world is chosen afterwards: that takes common errors out.
-    """
-    moves = np.stack([_by_columns(cameras, body, pose, len(covariance), columns) for pose in poses])
-    rigid = chart_jacobian(np.stack([pose.translation for pose in poses]))
-    turns = np.broadcast_to(np.eye(3, 6, 3), rigid.shape)
-    common = np.linalg.pinv(rigid.reshape(-1, 6)) @ moves[:, :3].reshape(-1, len(covariance))
-    left = moves - np.concatenate([rigid, turns], axis=1) @ common
-    variances = np.einsum("nip,pq,niq->ni", left, covariance, left)
-    return np.sqrt(variances[:, :3].sum(axis=1)), np.sqrt(variances[:, 3:].sum(axis=1))
-
-
 def pose_by_cameras(
     cameras: Sequence[Camera], body: Body, pose: RigidTransform
 ) -> tuple[Floats, ...]:
