@@ -101,17 +101,25 @@ class Chromium:
             raise RuntimeError(f"{expression}: {answer['exceptionDetails']}")
         return answer["result"].get("value")
 
-    def wait_for(self, expression: str, timeout_s: float) -> None:
-        """Wait until an expression is true.
+    def wait_for(self, expression: str, timeout_s: float) -> Any:
+        """Wait until an expression is true; gives its value.
 
         Raises:
             TimeoutError: it did not come true in time.
         """
+        value = None
+
+        def is_true() -> bool:
+            nonlocal value
+            value = self.evaluate(expression)
+            return bool(value)
+
         try:
-            self.wait_until(lambda: bool(self.evaluate(expression)), expression, timeout_s)
+            self.wait_until(is_true, expression, timeout_s)
         except TimeoutError as problem:
             said = self.evaluate("document.body.innerText")
             raise TimeoutError(f"{problem}; the page says: {said}") from None
+        return value
 
     def wait_until(self, done: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Let the page work until `done`.

@@ -98,16 +98,17 @@ def strike(page: Chromium, key: str, text: str) -> None:
 
 def click_at(page: Chromium, image: str, u_px: float, v_px: float) -> None:
     """Point at a place in an image, in px of the picture that it shows, and click; not counted."""
-    page.wait_for(f"document.querySelector('{image}')?.naturalWidth > 0", 20)
     place = f"""(() => {{
         const image = document.querySelector('{image}');
+        if (!(image?.naturalWidth > 0)) return null;
         image.scrollIntoView({{block: 'center'}});
         const box = image.getBoundingClientRect();
         const scale = Math.min(box.width / image.naturalWidth, box.height / image.naturalHeight);
         return [box.left + box.width / 2, box.top + box.height / 2,
                 scale, image.naturalWidth, image.naturalHeight];
     }})()"""
-    x, y, scale, width, height = page.evaluate(place)
+    # Pictures follow each other: what is read of one is read at once.
+    x, y, scale, width, height = page.wait_for(place, 20)
     # Pixel centres are at integers, and the picture begins half a pixel before the first.
     x, y = x + scale * (u_px + 0.5 - width / 2), y + scale * (v_px + 0.5 - height / 2)
     for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
