@@ -28,6 +28,13 @@ def _add_one(x):
     return x + 1
 
 
+def _wait_for(count, caplog):
+    """A thread tells; it may be late on a busy machine."""
+    until_s = time.monotonic() + 20.0
+    while caplog.text.count("compiling") < count and time.monotonic() < until_s:
+        time.sleep(0.02)
+
+
 def test_every_stage_is_warmed_up_once_and_cameras_share_it():
     parts = [_Part() for _ in range(5)]
     detectors = {"cam0": parts[0], "cam1": parts[1]}
@@ -48,7 +55,7 @@ def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
         assert caplog.text == "", "nothing was compiled: it was something else that took long"
         with warming_up.compilation_notice():
             numba.njit(_add_one)(1)
-            time.sleep(0.2)
+            _wait_for(1, caplog)
     assert "compiling" in caplog.text
     assert "done" not in caplog.text
 
@@ -58,7 +65,7 @@ def test_a_very_long_warm_up_shows_that_it_goes_on(monkeypatch, caplog):
     monkeypatch.setattr(warming_up, "AGAIN_S", 0.05)
     with caplog.at_level(logging.WARNING), warming_up.compilation_notice() as begun:
         numba.njit(_add_one)(1)
-        time.sleep(0.3)
+        _wait_for(3, caplog)
         begun()
         said = caplog.text.count("compiling")
         time.sleep(0.2)
