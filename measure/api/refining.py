@@ -45,8 +45,9 @@ _ANY_PX = 100.0
 
 LOOSE_WORLD = (
     "the first calibration does not say how its cameras' errors hang together (`measure calibrate` "
-    "with its default method does), so the world frame may have moved a little while the cameras "
-    "were sharpened against each other: do not trust absolute positions beyond that calibration's"
+    "does, of cameras located by markers or by a board of known pose), so the world frame may have "
+    "moved a little while the cameras were sharpened against each other: do not trust absolute "
+    "positions beyond that calibration's"
 )
 
 
