@@ -21,7 +21,7 @@ from measure.calibration.board_views import (
 )
 from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.least_squares import LeastSquaresSolution
+from measure.calibration.least_squares import Huber, LeastSquaresSolution
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, UncertainTransform, chart_jacobian, skew
 from measure.model import Camera
@@ -174,7 +174,8 @@ def _answer(
     columns = np.split(np.arange(size), np.cumsum([6 + len(own) for own in free])[:-1])
     # The first camera is the world: of its pose, in the first rows, nothing is unknown.
     covariance = np.zeros((size, size))
-    covariance[6:, 6:] = solution.covariance * max(solution.variance_factor, 1.0)
+    alike = solution.clustered_factor(Huber(_HUBER_REACH))
+    covariance[6:, 6:] = solution.covariance * max(solution.variance_factor, alike, 1.0)
     shape = _about_positions(cameras, free, columns, points)
     covariance = shape @ covariance @ shape.T
     rows = zip(cameras, columns, problem.views, solution.linearised.groups, strict=True)

@@ -110,6 +110,26 @@ class LeastSquaresSolution(Generic[State]):
         unknowns = lin.n_shared + lin.n_blocks * lin.size_of_block
         return float(squares / max(rows - unknowns, 1))
 
+    def clustered_factor(self, loss: Huber) -> float:
+        """The variance factor if errors within a block are alike, of one view's corners say.
+
+        By the sandwich covariance with blocks as clusters (Liang and Zeger 1986, Biometrika 73,
+        equation 8): with S the inverse covariance and g_f what block f adds to the gradient,
+        tr(S^-1 sum g_f g_f^T) f / (f - 1) over the shared parameters' number. Its mean is below
+        `variance_factor` where errors are independent.
+        """
+        lin, f, p = self.linearised, self.linearised.n_blocks, self.linearised.n_shared
+        if f < 2 or not p:
+            return 0.0
+        normal, gradient = _normal_equations(lin, loss), np.zeros((f, p))
+        for group in lin.groups:
+            weights = loss.weights(np.linalg.norm(group.residuals, axis=1))
+            each = np.einsum("n,nkp,nk->np", weights, group.by_shared, group.residuals)
+            np.add.at(gradient, (group.block[:, None], group.columns), each)
+        own = _solve_scaled(normal.V, normal.W, _UNSEEN)
+        gradient -= np.einsum("fbp,fb->fp", own, normal.h)
+        return float(np.einsum("fp,pq,fq->", gradient, self.covariance, gradient) / p * f / (f - 1))
+
 
 def solve(
     linearise: Callable[[State], Linearised],

@@ -33,18 +33,30 @@ def test_matches_opencv_to_its_digits() -> None:
     np.testing.assert_allclose(ours.intrinsics.matrix, matrix, rtol=1e-4, atol=1e-9)
 
 
-def test_the_covariance_is_the_scatter() -> None:
-    true, model = lens(1), LENS_MODELS[3]
-    squares = []
+@pytest.mark.parametrize("bow_px", [0.0, 0.3])
+def test_the_covariance_is_the_scatter(bow_px) -> None:
+    """Of corners that err one by one, and of views whose boards are bent, each another way."""
+    true, model, free = lens(1), LENS_MODELS[3], list(LENS_MODELS[3].free)
+    across = BOARD.points[:, :1] - BOARD.points[:, 0].mean()
+    bow = bow_px * (across / np.ptp(across) * 2) ** 2
+    squares, one_by_one = [], []
     for seed in range(25):
-        views = board_views(true, np.random.default_rng(seed))
-        fit = fit_lens(start_intrinsics(SIZE, BOARD.points, views), BOARD.points, views, model)
-        assert fit.intrinsics.covariance is not None
-        error = (intrinsics_vector(fit.intrinsics) - intrinsics_vector(true))[list(model.free)]
-        P = fit.intrinsics.covariance[np.ix_(model.free, model.free)]
-        squares.append(error @ np.linalg.solve(P, error) / len(error))
+        rng = np.random.default_rng(seed)
+        flat = board_views(true, rng)
+        views = tuple(replace(v, pixels=v.pixels + bow * rng.normal(size=2)) for v in flat)
+        plain, fit = (
+            fit_lens(start_intrinsics(SIZE, BOARD.points, some), BOARD.points, some, model)
+            for some in (flat, views)
+        )
+        error = (intrinsics_vector(fit.intrinsics) - intrinsics_vector(true))[free]
+        for out, P in (
+            (squares, fit.intrinsics.covariance),
+            (one_by_one, plain.intrinsics.covariance * (fit.sd_px / plain.sd_px) ** 2),
+        ):
+            out.append(error @ np.linalg.solve(P[np.ix_(free, free)], error) / len(error))
     # The mean of 25 chi-squared / 8 has a standard deviation of 0.1.
-    assert 0.7 < np.mean(squares) < 1.35
+    assert 0.7 < np.mean(squares) < 1.5
+    assert (np.mean(one_by_one) > 5) == (bow_px > 0), "as if corners erred one by one"
 
 
 def test_unsupported_lens_freedom_is_refused_with_a_reason() -> None:
