@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.util import find_spec
 from ipaddress import IPv4Address
@@ -60,12 +61,14 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
 def _wait_until_served(process: subprocess.Popen[bytes], bind: str, port: int) -> None:
     """A page that is fetched before would stay empty."""
     until_s = time.monotonic() + _PATIENCE_S
-    while process.poll() is None and time.monotonic() < until_s:
-        with socket.socket() as probe:
-            if probe.connect_ex((bind, port)) == 0:
-                return
-        time.sleep(0.02)
-    process.kill()
+    with ExitStack() as unless_served:
+        unless_served.callback(process.kill)
+        while process.poll() is None and time.monotonic() < until_s:
+            with socket.socket() as probe:
+                if probe.connect_ex((bind, port)) == 0:
+                    unless_served.pop_all()
+                    return
+            time.sleep(0.02)
     raise RunError(f"the Rerun viewer served nothing, and ended with code {process.wait()}")
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import subprocess
 import sys
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -133,6 +137,26 @@ def test_a_viewer_that_ends_before_it_serves_is_named(monkeypatch):
     monkeypatch.setattr(viewer, "viewer_program", lambda: "false")
     with pytest.raises(RunError, match="served nothing, and ended with code 1"):
         viewer.open_viewer([], web=True)
+
+
+def test_an_interrupt_while_it_is_waited_for_leaves_no_viewer(tmp_path, monkeypatch):
+    program, begun = tmp_path / "viewer", []
+    program.write_text("#!/bin/sh\nexec sleep 60\n")
+    program.chmod(0o755)
+
+    def begin(*given, **how):
+        begun.append(subprocess.Popen(*given, **how))
+        return begun[0]
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(viewer, "viewer_program", lambda: str(program))
+    monkeypatch.setattr(viewer, "subprocess", SimpleNamespace(Popen=begin))
+    monkeypatch.setattr(viewer, "time", SimpleNamespace(monotonic=time.monotonic, sleep=interrupt))
+    with pytest.raises(KeyboardInterrupt):
+        viewer.open_viewer([], web=True)
+    assert begun[0].wait(10) == -signal.SIGKILL
 
 
 def test_error_trace_is_the_error_with_gaps_without_pose(recorded):
