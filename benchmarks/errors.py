@@ -9,7 +9,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import SessionError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
-from measure.geometry import RigidTransform, chi_square_quantile
+from measure.geometry import RigidTransform, align_points, chi_square_quantile
 from measure.measuring import Measurement
 from measure.model import Body, Camera, Pose, Rig
 from measure.session import Trajectory, read_trajectory, session_truth
@@ -44,6 +44,11 @@ def in_region(error: Floats, pose: Pose, count: int) -> bool:
 def rms(rows: Floats) -> float:
     """Root mean squared length of rows (n, k); NaN if there are none."""
     return float(np.sqrt(np.mean(np.sum(rows**2, axis=1)))) if len(rows) else float("nan")
+
+
+def aligned_rms(places: Floats, off: Floats) -> float:
+    """What is left of errors (n, 3) at places (n, 3) after the rigid motion that fits best."""
+    return rms(align_points(places, places + off).apply(places + off) - places)
 
 
 def body_cost(

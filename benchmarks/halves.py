@@ -18,35 +18,30 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.errors import body_cost, rms
+from benchmarks.errors import aligned_rms, body_cost
 from measure.arrays import rms_length
 from measure.calibration import Board, calibrate_capture, open_capture
 from measure.calibration.board_views import fit_lens, intrinsics_vector, start_intrinsics
-from measure.calibration.common_views import fit_common_views
+from measure.calibration.common_views import fit_common_views, instant_of
 from measure.calibration.findings import workspace_of
 from measure.calibration.intrinsics import LensCalibration
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
-from measure.geometry import RigidTransform, align_points
+from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, paper_body
 
 Lenses = Mapping[str, LensCalibration]
 
 
-def half(board: Board, whole: Lenses, names: set[str]) -> tuple[Camera, ...]:
-    """The cameras by some instants, whose names stand in pictures' names; lenses as free."""
+def half(board: Board, whole: Lenses, chosen: set[int]) -> tuple[Camera, ...]:
+    """The cameras by some instants, with lenses as free as those of the whole capture."""
     lenses = {}
     for name, lens in whole.items():
-        views = tuple(v for v in lens.views.views if instant(v.source) in names)
+        views = tuple(v for v in lens.views.views if instant_of(v.source) in chosen)
         start = start_intrinsics(lens.views.size_wh, board.points, views, lens.model.projection)
         fit = fit_lens(start, board.points, views, lens.model)
         lenses[name] = replace(lens, fit=fit, views=replace(lens.views, views=views))
     return fit_common_views(board, lenses)[0]
-
-
-def instant(source: str) -> str:
-    """The digits of a picture's name."""
-    return "".join(c for c in source if c.isdigit())
 
 
 def normalised(one: Intrinsics, other: Intrinsics) -> float:
@@ -77,16 +72,16 @@ def main() -> None:
     poses = [RigidTransform(np.eye(3), place) for place in space.grid()]
     at = np.stack([pose.translation for pose in poses])
     seen = [view.source for lens in whole.lenses.values() for view in lens.views.views]
-    instants = sorted({instant(source) for source in seen})
+    instants = sorted({instant_of(source) for source in seen})
     rng, lenses, apart, stated = np.random.default_rng(0), [], [], []
     for _ in range(given.splits):
         mixed = rng.permutation(instants)
         parts = mixed[: len(mixed) // 2], mixed[len(mixed) // 2 :]
-        one, other = (half(capture.board, whole.lenses, {*part}) for part in parts)
+        one, other = (half(capture.board, whole.lenses, {*part.tolist()}) for part in parts)
         pairs = zip(one, other, strict=True)
         lenses.append([normalised(a.intrinsics, b.intrinsics) for a, b in pairs])
         off = body_cost(one, other, body, poses)
-        apart.append(rms(align_points(at, at + off).apply(at + off) - at))
+        apart.append(aligned_rms(at, off))
         sds = [body_pose_sd(cameras, body, poses)[0] for cameras in (one, other)]
         stated.append(rms_length(np.stack(sds, axis=1)))
     for camera, squares in zip(whole.cameras, np.mean(lenses, axis=0), strict=True):

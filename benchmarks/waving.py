@@ -21,14 +21,14 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from benchmarks.errors import body_cost, rms
+from benchmarks.errors import aligned_rms, body_cost, rms
 from measure.arrays import rms_length
 from measure.calibration import BoardWave, Corners
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import calibrate_lens
 from measure.calibration.views import ALL_VIEWS, choose_views
 from measure.estimation.expected_accuracy import body_pose_sd, noise_sd
-from measure.geometry import RigidTransform, align_points
+from measure.geometry import RigidTransform
 from measure.model import Camera, paper_body
 from tests.studio.waved import SIZE_WH, board, picture, rig, waved
 
@@ -84,7 +84,7 @@ def errors_mm(found: Sequence[Camera], true: Sequence[Camera]) -> tuple[float, .
     ]
     off = body_cost(tuple(found), there, paper_body(), poses)
     at = np.stack([pose.translation for pose in poses])
-    left = rms(align_points(at, at + off).apply(at + off) - at)
+    left = aligned_rms(at, off)
     ends = np.array([*combinations(range(len(at)), 2)]).T
     far, near = (np.linalg.norm(p[ends[0]] - p[ends[1]], axis=1) for p in (at + off, at))
     noise = [noise_sd(pose, paper_body(), there, NOISE_PX)[0] for pose in poses]

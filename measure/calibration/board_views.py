@@ -322,9 +322,10 @@ def fit_lens(
     camera = Camera("", start, RigidTransform.identity())
     solution = BoardProblem(points, [seen]).solve(BoardState((camera,), poses), huber)
     sd = float(np.sqrt(solution.variance_factor))
-    alike = solution.clustered_factor(least_squares.Huber(huber))
     covariance = np.zeros((12, 12))
-    covariance[np.ix_(seen.free, seen.free)] = solution.covariance * max(sd**2, alike)
+    covariance[np.ix_(seen.free, seen.free)] = solution.covariance * max(
+        sd**2, solution.clustered_factor
+    )
     return SingleCameraFit(
         replace(solution.state.cameras[0].intrinsics, covariance=covariance),
         solution.linearised.groups[0].residuals,

@@ -21,7 +21,7 @@ from measure.calibration.board_views import (
 )
 from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.least_squares import Huber, LeastSquaresSolution
+from measure.calibration.least_squares import LeastSquaresSolution
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, UncertainTransform, chart_jacobian, skew
 from measure.model import Camera
@@ -53,7 +53,7 @@ def fit_common_views(
     after a turn.
     """
     views = {
-        name: {_instant(v.source): v for v in lens.views.views} for name, lens in lenses.items()
+        name: {instant_of(v.source): v for v in lens.views.views} for name, lens in lenses.items()
     }
     cameras, boards = _start(board, lenses, views)
     order = {instant: number for number, instant in enumerate(sorted(boards))}
@@ -83,7 +83,7 @@ def _check_instants(cameras: tuple[Camera, ...], lenses: Mapping[str, LensCalibr
         )
 
 
-def _instant(source: str) -> int:
+def instant_of(source: str) -> int:
     """The last number in a picture's name, or that of a video's frame."""
     numbers = re.findall(r"\d+", re.sub(r"\.\w+$", "", source))
     if not numbers:
@@ -174,8 +174,8 @@ def _answer(
     columns = np.split(np.arange(size), np.cumsum([6 + len(own) for own in free])[:-1])
     # The first camera is the world: of its pose, in the first rows, nothing is unknown.
     covariance = np.zeros((size, size))
-    alike = solution.clustered_factor(Huber(_HUBER_REACH))
-    covariance[6:, 6:] = solution.covariance * max(solution.variance_factor, alike, 1.0)
+    factor = max(solution.variance_factor, solution.clustered_factor, 1.0)
+    covariance[6:, 6:] = factor * solution.covariance
     shape = _about_positions(cameras, free, columns, points)
     covariance = shape @ covariance @ shape.T
     rows = zip(cameras, columns, problem.views, solution.linearised.groups, strict=True)

@@ -100,6 +100,7 @@ class LeastSquaresSolution(Generic[State]):
     # (n_shared, n_shared) of the shared parameters, for whitened residuals of standard deviation 1.
     covariance: Floats
     cost: float  # sum of losses and squared priors
+    loss: Huber
 
     @property
     def variance_factor(self) -> float:
@@ -110,7 +111,8 @@ class LeastSquaresSolution(Generic[State]):
         unknowns = lin.n_shared + lin.n_blocks * lin.size_of_block
         return float(squares / max(rows - unknowns, 1))
 
-    def clustered_factor(self, loss: Huber) -> float:
+    @property
+    def clustered_factor(self) -> float:
         """The variance factor if errors within a block are alike, of one view's corners say.
 
         By the sandwich covariance with blocks as clusters (Liang and Zeger 1986, Biometrika 73,
@@ -121,9 +123,9 @@ class LeastSquaresSolution(Generic[State]):
         lin, f, p = self.linearised, self.linearised.n_blocks, self.linearised.n_shared
         if f < 2 or not p:
             return 0.0
-        normal, gradient = _normal_equations(lin, loss), np.zeros((f, p))
+        normal, gradient = _normal_equations(lin, self.loss), np.zeros((f, p))
         for group in lin.groups:
-            weights = loss.weights(np.linalg.norm(group.residuals, axis=1))
+            weights = self.loss.weights(np.linalg.norm(group.residuals, axis=1))
             each = np.einsum("n,nkp,nk->np", weights, group.by_shared, group.residuals)
             np.add.at(gradient, (group.block[:, None], group.columns), each)
         own = _solve_scaled(normal.V, normal.W, _UNSEEN)
@@ -166,7 +168,8 @@ def solve(
         else:
             damping *= 10
             done = done or damping > _MAX_DAMPING
-    return LeastSquaresSolution(state, here, _normal_equations(here, loss).covariance(), cost)
+    covariance = _normal_equations(here, loss).covariance()
+    return LeastSquaresSolution(state, here, covariance, cost, loss)
 
 
 def _cost(lin: Linearised, loss: Huber) -> float:

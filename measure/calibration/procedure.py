@@ -52,7 +52,7 @@ class RigCalibration:
     disagreement_mm: dict[str, float] = field(default_factory=dict)
     # (n, 3) mm, board corners in view, where there are no markers.
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    joint: Joint | None = None  # covariance of all cameras, and the rows that are each one's
+    joint: Joint | None = None  # covariance of all cameras, where `fit` does not hold it
 
     @property
     def tolerances(self) -> rig_problem.Tolerances:
@@ -191,8 +191,7 @@ def _fitted(rough: RigCalibration, capture: Capture) -> RigCalibration:
     else:
         fit, tolerances = extrinsics.fit_rig_with_boards(*rig, stated != (None, None))
     observations = replace(seen, tolerances=tolerances)
-    joint = fit.covariance, fit.columns
-    return replace(rough, cameras=fit.cameras, fit=fit, observations=observations, joint=joint)
+    return replace(rough, cameras=fit.cameras, fit=fit, observations=observations)
 
 
 def _see_board(

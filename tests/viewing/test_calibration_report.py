@@ -21,14 +21,7 @@ def _calibration(mark_sd_px: float) -> RigCalibration:
     points = rig.observations.markers
     field = MarkerField(tuple(f"m{k}" for k in range(len(points))), points)
     return RigCalibration(
-        fit.cameras,
-        "joint",
-        {},
-        fit,
-        rig.observations,
-        field,
-        cameras_before=rig.start,
-        joint=(fit.covariance, fit.columns),
+        fit.cameras, "joint", {}, fit, rig.observations, field, cameras_before=rig.start
     )
 
 
