@@ -1,20 +1,23 @@
 """Do halves of a capture differ by as much as their covariances say?
 
-    python -m benchmarks.halves CAPTURE [--splits 20]
+    python -m benchmarks.halves CAPTURE [--splits 20] [--one-by-one]
 
 A capture of common views is split at random into halves of its instants, and both are calibrated.
 Printed are, of each camera's lens, the mean of d^T (P + Q)^-1 d / n, with d the difference of its n
 parameters and P and Q their covariances (1 is honest, more is too little stated); and of a body's
 positions over the workspace the difference after the rigid motion that fits best, RMS, and what the
-two halves state of it. Errors that both halves share do not show.
+two halves state of it. Errors that both halves share do not show. With --one-by-one covariances are
+those of corners that err independently of each other, as they were without clusters of views.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
@@ -25,6 +28,7 @@ from measure.calibration.board_views import fit_lens, intrinsics_vector, start_i
 from measure.calibration.common_views import fit_common_views, instant_of
 from measure.calibration.findings import workspace_of
 from measure.calibration.intrinsics import LensCalibration
+from measure.calibration.least_squares import LeastSquaresSolution
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
@@ -55,18 +59,27 @@ def normalised(one: Intrinsics, other: Intrinsics) -> float:
 
 
 def main() -> None:
-    """Split, calibrate and print.
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="benchmarks.halves", description=__doc__)
+    parser.add_argument("capture", type=Path)
+    parser.add_argument("--splits", type=int, default=20)
+    parser.add_argument("--one-by-one", action="store_true")
+    given = parser.parse_args()
+    with ExitStack() as changed:
+        if given.one_by_one:
+            changed.enter_context(patch.object(LeastSquaresSolution, "clustered_factor", 0.0))
+        compare(given.capture, given.splits)
+
+
+def compare(folder: Path, splits: int) -> None:
+    """Split a capture, calibrate and print.
 
     Raises:
         CalibrationError: the capture has no common views.
     """
-    parser = argparse.ArgumentParser(prog="benchmarks.halves", description=__doc__)
-    parser.add_argument("capture", type=Path)
-    parser.add_argument("--splits", type=int, default=20)
-    given = parser.parse_args()
-    capture = open_capture(given.capture)
+    capture = open_capture(folder)
     if capture.board is None or not capture.settings.common_views:
-        raise CalibrationError(f"{given.capture}: take a capture with common_views")
+        raise CalibrationError(f"{folder}: take a capture with common_views")
     whole = calibrate_capture(capture)
     space, body = workspace_of(whole.cameras, whole.around), paper_body()
     poses = [RigidTransform(np.eye(3), place) for place in space.grid()]
@@ -74,7 +87,7 @@ def main() -> None:
     seen = [view.source for lens in whole.lenses.values() for view in lens.views.views]
     instants = sorted({instant_of(source) for source in seen})
     rng, lenses, apart, stated = np.random.default_rng(0), [], [], []
-    for _ in range(given.splits):
+    for _ in range(splits):
         mixed = rng.permutation(instants)
         parts = mixed[: len(mixed) // 2], mixed[len(mixed) // 2 :]
         one, other = (half(capture.board, whole.lenses, {*part.tolist()}) for part in parts)

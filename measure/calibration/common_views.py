@@ -46,8 +46,8 @@ def fit_common_views(
 
     Pictures of one instant carry the same number in their names, or are frames of that number. Also
     gives the board's corners in the world at all instants (n, 3) mm, and the covariance of all
-    cameras together, camera after camera, with the rows that are each one's (`body_pose_sd`): it is
-    that of the rig's shape, as positions where the board was do not move with it as a whole.
+    cameras together, camera after camera, with the rows that are each one's (`body_pose_sd`): it
+    describes the rig's shape alone, without a rigid motion of all positions where the board was.
     CalibrationError: a camera shares fewer than three views with those already placed, its pictures
     contradict the others', or the views do not tell how a board was turned that looks the same
     after a turn.
@@ -176,7 +176,7 @@ def _answer(
     covariance = np.zeros((size, size))
     factor = max(solution.variance_factor, solution.clustered_factor, 1.0)
     covariance[6:, 6:] = factor * solution.covariance
-    shape = _about_positions(cameras, free, columns, points)
+    shape = _s_transformation(cameras, free, columns, points)
     covariance = shape @ covariance @ shape.T
     rows = zip(cameras, columns, problem.views, solution.linearised.groups, strict=True)
     out = tuple(
@@ -189,14 +189,14 @@ def _answer(
     return out, (covariance, dict(zip(names, columns, strict=True)))
 
 
-def _about_positions(
+def _s_transformation(
     cameras: Sequence[Camera], free: Sequence[Ints], columns: Sequence[Ints], points: Floats
 ) -> Floats:
     """What takes errors of cameras and free lens parameters (p,) to those of the rig's shape (p,).
 
-    Errors of the first camera, as the world, are errors of all positions alike, and cameras by
-    themselves would not tell so. The world is therefore moved with the positions (n, 3) that two
-    cameras see, as a whole (S-transformation; Baarda 1973, Publications on Geodesy 5.1).
+    With the first camera as the world, its errors move all positions alike, which covariances of
+    single cameras cannot express. Here the world moves with the positions (n, 3) that two cameras
+    see, by the rigid motion that fits them best (Baarda 1973, Publications on Geodesy 5.1).
     """
     size = sum(map(len, columns))
     normal, moved = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3, size))

@@ -113,7 +113,7 @@ class LeastSquaresSolution(Generic[State]):
 
     @property
     def clustered_factor(self) -> float:
-        """The variance factor if errors within a block are alike, of one view's corners say.
+        """The variance factor if errors within a block are alike, as those of one view may be.
 
         By the sandwich covariance with blocks as clusters (Liang and Zeger 1986, Biometrika 73,
         equation 8): with S the inverse covariance and g_f what block f adds to the gradient,
