@@ -128,7 +128,10 @@ def test_other_programs_can_have_it(session, tmp_path, monkeypatch) -> None:
 
 @pytest.mark.parametrize(
     ("path", "count", "reason"),
-    [(still, 30, "the body moved"), (moving, 8, "8 frame sets with an unflagged pose")],
+    [
+        (still, 30, "the body moved"),
+        (moving, 8, "8 of 8 frame sets have an unflagged pose, and at least 10 are needed: record"),
+    ],
 )
 def test_a_recording_that_cannot_support_it_is_refused(
     session, tmp_path, monkeypatch, capsys, path, count, reason

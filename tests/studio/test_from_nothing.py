@@ -215,7 +215,6 @@ def make_the_body(page, desk, true, session):
     count(page)
     for name in ("cam0", "cam1"):
         page.wait_for(f"document.body.innerText.includes('{name}: green, red, yellow')", 240)
-    fill(page, "Seconds", "3")
     press(page, "record and measure the body")
     page.wait_for(f"/body-1.toml: 3 balls/.test({FOOT})", 240)
     page.wait_for(f"/green - red/.test({FIGURES})", 20)

@@ -87,9 +87,9 @@ def recording_of(
     kept = [m for m in measurements if m.pose is not None and (doubtful_too or not m.pose.flags)]
     if len(kept) < MIN_FRAMES:
         raise CalibrationError(
-            f"{len(kept)} frame sets with {'a' if doubtful_too else 'an unflagged'} pose, at least "
-            f"{MIN_FRAMES} are needed to refine cameras from motion"
-            f"{_most_disagreeing(measurements)}"
+            f"{len(kept)} of {len(measurements)} frame sets have "
+            f"{'a' if doubtful_too else 'an unflagged'} pose, and at least {MIN_FRAMES} are needed"
+            f"{_why_few(measurements, len(kept))}"
         )
     _refuse_disagreeing(kept, doubtful_too)
     kept = kept[:_MOST_FRAMES]
@@ -130,8 +130,10 @@ def _disagreements(measurements: Sequence[Measurement]) -> dict[str, int]:
     return out
 
 
-def _most_disagreeing(measurements: Sequence[Measurement]) -> str:
-    """The camera that contradicts the others most often, in words."""
+def _why_few(measurements: Sequence[Measurement], kept: int) -> str:
+    """A short recording, or the camera that contradicts the others most often, in words."""
+    if kept > (1 - _DOUBTFUL_SHARE) * len(measurements):
+        return ": record for longer"
     apart = _disagreements(measurements)
     if not any(apart.values()):
         return "; `measure check` names a camera that was moved"
