@@ -34,6 +34,7 @@ from measure.checking import (
     with_velocities,
     worst_first,
 )
+from measure.checking.arrangement import arrangement_findings
 from measure.checking.body import (
     BodyCheck,
     LocatedBalls,
@@ -131,6 +132,9 @@ def _concluded(session: Session, look: _Look, findings: list[Finding]) -> Sessio
         alone = f"checked with '{session.body.name}' alone; with --body FILE also {others}"
         findings.append(Finding(Level.NOTE, "body", alone))
     motion, searched, misfits = look.motion, look.searched, look.misfits
+    if look.arrangement:
+        findings += look.arrangement
+        return SessionCheck(session.name, look.frame_sets, len(searched), worst_first(findings))
     misplaced = misfit_findings(misfits, look.tried_s)
     by_motion = motion_findings(motion, {misfit.camera for misfit in misfits}, look.instead)
     shape = check_body(look.located, session.body)
@@ -182,6 +186,7 @@ class _Look:
     located: Sequence[LocatedBalls]
     motion: MotionCheck  # of frame sets measured in a row; empty if they were not
     pictures: Sequence[Finding]
+    arrangement: Sequence[Finding]  # pictures that are not what their camera sees
     misfits: tuple[CameraMisfit, ...]  # cameras that do not stand where the calibration says
     # by camera, what was added to its stamps before; `motion.clocks` include it.
     ahead_s: Mapping[str, float] = field(default_factory=dict)
@@ -195,7 +200,7 @@ class _Look:
         """Whether cameras disagree by so much that a clock may be far off."""
         found = sum(sample.world_from_body is not None for sample in self.searched)
         known = [clock.offset_sd_s < _UNCERTAIN_CLOCK_S for clock in self.motion.clocks]
-        return (
+        return not self.arrangement and (
             bool(self.misfits)
             or 0 < found < len(self.searched) / 2
             or self._flagged_share > _MANY
@@ -278,8 +283,8 @@ class _Looking:
     def look(self) -> _Look:
         """Search some frame sets, and measure the first."""
         session = self.session
-        searched, located, duplicates, colorless = [], [], DuplicateCount(), ColorlessCount()
-        overexposed = OverexposedCount()
+        searched, located, every = [], [], []
+        duplicates, colorless, overexposed = DuplicateCount(), ColorlessCount(), OverexposedCount()
         detectors = build_detectors(self.profile, self.registry, session.body, session.cameras)
         for frame_set, (seen,) in search_frame_sets(session, [detectors], self._chosen):
             searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
@@ -287,8 +292,10 @@ class _Looking:
             colorless.add(frame_set)
             overexposed.add(frame_set, searched[-1].agreeing)
             located.append(locate_balls(seen, session.body, session.cameras))
+            every.append(seen)
             self.step()
-        motion = self._motion(searched, duplicates)
+        arrangement = arrangement_findings(every, session.body, session.cameras)
+        motion = MotionCheck() if arrangement else self._motion(searched, duplicates)
         # A late camera sees a moving body elsewhere than the others do: it does not stand there.
         misfits = tuple(
             misfit
@@ -296,7 +303,7 @@ class _Looking:
             if misfit.since_s is not None or misfit.camera not in motion.late
         )
         pictures = self._stalls(duplicates) + colorless.findings() + overexposed.findings()
-        return _Look(self._total, searched, located, motion, pictures, misfits)
+        return _Look(self._total, searched, located, motion, pictures, arrangement, misfits)
 
     def step(self) -> None:
         """Count what is done: a frame set, or one damaged picture looked for in all cameras."""

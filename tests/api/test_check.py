@@ -16,6 +16,7 @@ from measure.api import check
 from measure.checking import Level
 from measure.cli.app import main
 from measure.host import Registry
+from measure.results import read_run
 from measure.session import Calibration, read_calibration, write_calibration
 from tests.calibration.altered import turned
 
@@ -70,8 +71,26 @@ def test_swapped_calibrations_are_told(clutter, tmp_path, capsys):
         ]
     )
     assert code == 3
-    found = json.loads(capsys.readouterr().out)
-    assert "wrong" in [finding["level"] for finding in found["findings"]]
+    (finding, *others) = json.loads(capsys.readouterr().out)["findings"]
+    assert finding["level"] == "wrong"
+    assert "under cam0 are those of cam1, under cam1 are those of cam0;" in finding["text"]
+    assert all(finding["topic"] != "calibration" for finding in others)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("axis", "said"), [(1, "mirrored"), (-1, "upside down")])
+def test_a_picture_turned_over_is_named_and_no_pose_believed(clutter, tmp_path, axis, said, capsys):
+    session, out = tmp_path / "session", tmp_path / "run"
+    shutil.copytree(clutter, session, copy_function=shutil.copyfile)
+    for folder in (session, *filter(Path.is_dir, session.iterdir())):
+        folder.chmod(0o755)
+    for picture in sorted((session / "cam1").glob("*.jpg")):
+        over = cv2.flip(cv2.imread(str(picture)), axis)
+        cv2.imwrite(str(picture), over, [cv2.IMWRITE_JPEG_QUALITY, 95])
+    (text,) = alarms(session, capsys)
+    assert text.startswith(f"the pictures of cam1 are {said}; with that undone all cameras agree")
+    assert main(["run", str(session), "-o", str(out)]) == 0
+    assert read_run(out).summary.ok == 0
 
 
 def still(shared):

@@ -41,7 +41,9 @@ def build(where, run, **settings):
 def read(client, size):
     data = b""
     while len(data) < size:
-        data += client.recv(size - len(data))
+        part = client.recv(size - len(data))
+        assert part, "the connection was closed"
+        data += part
     return data
 
 
@@ -100,6 +102,8 @@ def test_a_receiver_that_stops_reading_loses_its_own_poses_only():
                 for _ in poses:
                     assert igtl_message(quick)[:2] == ("TRANSFORM", "TToTracker")
                 frames += 100
+            # With so small a window the rest would come in kilobytes, five a second.
+            slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
             slow.settimeout(1.0)
             got = []
             while (message := _message_or_none(slow)) is not None:

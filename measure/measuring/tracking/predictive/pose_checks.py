@@ -121,7 +121,7 @@ def disagreeing_cameras(
 def disagreement_flags(names: Sequence[str]) -> tuple[str, ...]:
     """A flag for each of the cameras that `disagreeing_cameras` names."""
     return tuple(
-        f"camera {name} sees balls, but none where the others do: check its calibration"
+        f"camera {name} sees balls, but none where the others do: `measure check` tells why"
         for name in names
     )
 
