@@ -200,6 +200,7 @@ _UNEXPLAINED = (
 )
 _EXPLAINED_MISFIT_RATIO = 0.25
 """A hypothesis that leaves less than this share of the misfit is named as the cause."""
+_UNITS_MM = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4}
 _MIN_OTHER_MARKS = 3
 """So many marks must agree with the board before another is blamed for disagreeing."""
 
@@ -253,6 +254,8 @@ class _Contradiction:
             yield self._misfit(theirs.corners, pose), text
         mirrored = _mirrored(board, mine, self.start.intrinsics)
         yield self._misfit(mirrored, pose), "its board picture is mirrored"
+        over = np.array(self.start.intrinsics.size_wh) - 1 - mine.pixels
+        yield self._misfit(replace(mine, pixels=over), pose), "its board picture is upside down"
         half_turned = replace(mine, ids=len(board.points) - 1 - mine.ids)
         text = "the board fits after half a turn: its origin is at the other end"
         yield self._misfit(half_turned, pose), text
@@ -261,6 +264,9 @@ class _Contradiction:
                 text = f"it fits squares of about {scale:.2f} times the stated size"
                 left = self._misfit(mine, pose, float(scale))
                 yield left, f"{text}: check square_mm"
+        for unit, in_mm in _UNITS_MM.items():
+            text = f"the markers' places are in {unit} (with mm they fit): write mm"
+            yield mark_rms(self.start, in_mm * self.markers.points, self.marks), text
         for k, marker in enumerate(self.marks.ids):
             text = f"only {self.markers.names[marker]} does: its place or its mark is wrong"
             ids, pixels = np.delete(self.marks.ids, k), np.delete(self.marks.pixels, k, 0)

@@ -70,6 +70,23 @@ def test_a_mirrored_board_picture(world: Rig) -> None:
         check(world, seen)
 
 
+def test_a_board_picture_upside_down(world: Rig) -> None:
+    """A detector that knows where the board begins finds the same corners."""
+    seen = boards(world)
+    over = np.array([1279, 719]) - seen["cam0"].corners.pixels
+    seen["cam0"] = replace(seen["cam0"], corners=replace(seen["cam0"].corners, pixels=over))
+    with pytest.raises(CalibrationError, match=r"cam0: board and .*its board picture is upside"):
+        check(world, seen)
+
+
+@pytest.mark.parametrize(("in_mm", "unit"), [(1000, "metres"), (10, "centim"), (25.4, "inches")])
+def test_markers_in_another_unit(world: Rig, in_mm: float, unit: str) -> None:
+    field = replace(FIELD, points=markers() / in_mm)
+    marks = world.observations.marks["cam0"]
+    with pytest.raises(CalibrationError, match=f"the markers' places are in {unit}"):
+        check_board_against_marks(world.start[0], boards(world), field, marks)
+
+
 def test_wrong_square_size(world: Rig) -> None:
     camera = world.start[0]
     seen = boards(world)
