@@ -14,7 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
 from measure.calibration import least_squares
-from measure.calibration.boards import Corners
+from measure.calibration.boards import Board, Corners
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, skew
 from measure.model import Camera, Intrinsics, Projection
@@ -138,6 +138,20 @@ def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidT
     if not errors or not np.isfinite(np.min(errors)):
         raise CalibrationError("no pose of the board explains its corners in the picture")
     return poses[int(np.argmin(errors))]
+
+
+def unmirrored(board: Board, corners: Corners, lens: Intrinsics) -> Corners:
+    """The view as it was before someone mirrored the picture left to right."""
+    pixels = corners.pixels.copy()
+    pixels[:, 0] = lens.size_wh[0] - 1 - pixels[:, 0]
+    columns = int(np.sum(board.points[:, 1] == board.points[0, 1]))
+    rows = len(board.points) // columns
+    if len(corners.ids) != len(board.points):
+        return replace(corners, pixels=pixels)
+    # A mirrored chessboard was numbered along x the wrong way round; which end depends on colours.
+    numbers = np.arange(len(board.points)).reshape(rows, columns)
+    flipped = numbers[::-1] if rows % 2 == 0 and columns % 2 == 1 else numbers[:, ::-1]
+    return replace(corners, pixels=pixels, ids=corners.ids[flipped.ravel()])
 
 
 def _rms(intrinsics: Intrinsics, pose: RigidTransform, points: Floats, pixels: Floats) -> float:

@@ -17,6 +17,7 @@ from measure.calibration.board_views import (
     CameraViews,
     board_pose,
     stack,
+    unmirrored,
     with_covariance,
 )
 from measure.calibration.boards import Board, Corners, same_after
@@ -24,7 +25,7 @@ from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.least_squares import LeastSquaresSolution
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, UncertainTransform, chart_jacobian, skew
-from measure.model import Camera
+from measure.model import Camera, Intrinsics
 
 _HUBER_REACH = 4.0
 _MIN_COMMON = 3
@@ -33,6 +34,10 @@ _SAME_SHARE, _CLEAR_RATIO, _OTHER_RAD = 0.02, 3.0, 0.5
 diagonal, and alone about it if they differ so much more about any pose that is so far from it."""
 _APART_SHARE = 0.1  # Views that disagree by more were not taken together
 _NOT_TOGETHER = "do pictures (video frames) of one number show one instant?"
+_MIRRORED = (
+    "its pictures are mirrored, or those of the others are, for in a mirror they agree: switch off "
+    "mirror (selfie) mode, and take them again"
+)
 _ONE_INSTANT_PX = 3.0  # Cameras that miss common views by more than this did not take them together
 
 
@@ -117,7 +122,12 @@ def _start(
         pose = RigidTransform.identity()
         if placed:
             pairs = [(boards[i], from_board[i]) for i in common]
-            pose, turned = _agreed_pose(board, pairs, name)
+            try:
+                pose, turned = _agreed_pose(board, pairs, name)
+            except CalibrationError:
+                if _agree_in_a_mirror(board, lens, [(boards[i], mine[i]) for i in common]):
+                    raise CalibrationError(f"camera {name}: {_MIRRORED}") from None
+                raise
             for instant, turn in zip(common, turned, strict=True):
                 ids = board.turns[turn][mine[instant].ids]
                 mine[instant] = replace(mine[instant], ids=ids)
@@ -154,6 +164,19 @@ def _agreed_pose(
             "even number of inner corners, or a ChArUco board"
         )
     return guesses[best], np.argmin(apart[best], axis=1)
+
+
+def _agree_in_a_mirror(
+    board: Board, lens: Intrinsics, views: Sequence[tuple[RigidTransform, Corners]]
+) -> bool:
+    """Whether a camera's views agree with the board's poses by others once they are mirrored."""
+    before = [(known, unmirrored(board, view, lens)) for known, view in views]
+    try:
+        pairs = [(known, board_pose(lens, board.points[v.ids], v.pixels)) for known, v in before]
+        _agreed_pose(board, pairs, "")
+    except CalibrationError:
+        return False
+    return True
 
 
 def _turned(points: Floats, turn: Ints) -> RigidTransform:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, rms_length
-from measure.calibration.board_views import board_pose
-from measure.calibration.boards import Board, Corners, same_after
+from measure.calibration.board_views import board_pose, unmirrored
+from measure.calibration.boards import Corners, same_after
 from measure.calibration.capture import Capture, CaptureCamera
 from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.intrinsics import fit_pose_only
@@ -252,7 +252,7 @@ class _Contradiction:
             yield self._misfit(mine, theirs.world_from_board), text
             text = f"the board picture of {other} fits instead: are the two swapped?"
             yield self._misfit(theirs.corners, pose), text
-        mirrored = _mirrored(board, mine, self.start.intrinsics)
+        mirrored = unmirrored(board, mine, self.start.intrinsics)
         yield self._misfit(mirrored, pose), "its board picture is mirrored"
         over = np.array(self.start.intrinsics.size_wh) - 1 - mine.pixels
         yield self._misfit(replace(mine, pixels=over), pose), "its board picture is upside down"
@@ -282,20 +282,6 @@ class _Contradiction:
         pose = board_pose(self.start.intrinsics, points, corners.pixels)
         camera = replace(self.start, world_from_camera=world_from_board @ pose.inverse())
         return mark_rms(camera, self.markers.points, self.marks)
-
-
-def _mirrored(board: Board, corners: Corners, lens: Intrinsics) -> Corners:
-    """The view as it was before someone mirrored the picture left to right."""
-    pixels = corners.pixels.copy()
-    pixels[:, 0] = lens.size_wh[0] - 1 - pixels[:, 0]
-    columns = int(np.sum(board.points[:, 1] == board.points[0, 1]))
-    rows = len(board.points) // columns
-    if len(corners.ids) != len(board.points):
-        return replace(corners, pixels=pixels)
-    # A mirrored chessboard was numbered along x the wrong way round; which end depends on colours.
-    numbers = np.arange(len(board.points)).reshape(rows, columns)
-    flipped = numbers[::-1] if rows % 2 == 0 and columns % 2 == 1 else numbers[:, ::-1]
-    return replace(corners, pixels=pixels, ids=corners.ids[flipped.ravel()])
 
 
 def _permuted(start: Camera, markers: MarkerField, marks: MarkerObservation) -> str:

@@ -70,7 +70,7 @@ def test_a_capture_that_states_one_tolerance_has_both(altered, stated: str) -> N
     assert tolerances.board_deg == pytest.approx(0.15, rel=0.5)
 
 
-def stereo_videos(source: Path, folder: Path, behind: int) -> Path:
+def stereo_videos(source: Path, folder: Path, behind: int, mirrored: str = "") -> Path:
     """A capture of the stereo pair's pictures as videos, the right one's frames later ones."""
     (folder / "board.toml").write_text(
         'kind = "chessboard"\ninner_corners = [9, 6]\nsquare_mm = 25.0\n'
@@ -82,7 +82,7 @@ def stereo_videos(source: Path, folder: Path, behind: int) -> Path:
         code, size = cv2.VideoWriter.fourcc(*"MJPG"), pictures[0].shape[1::-1]
         video = cv2.VideoWriter(str(folder / f"{name}1.avi"), code, 10, size)
         for picture in pictures:
-            video.write(picture)
+            video.write(cv2.flip(picture, 1) if name == mirrored else picture)
         video.release()
         text += f'[[cameras]]\nname = "{name}"\nintrinsics = "{name}1.avi"\n'
     (folder / "capture.toml").write_text(text)
@@ -98,4 +98,11 @@ def test_common_views_of_videos(shared: Path, tmp_path: Path) -> None:
 def test_common_views_that_were_not_taken_together(shared: Path, tmp_path: Path) -> None:
     folder = stereo_videos(shared / "data/opencv_stereo", tmp_path, 1)
     with pytest.raises(CalibrationError, match="of one number show one instant"):
+        calibrate(folder)
+
+
+@pytest.mark.parametrize("which", ["left", "right"])
+def test_common_views_of_a_camera_in_mirror_mode(shared: Path, tmp_path: Path, which: str) -> None:
+    folder = stereo_videos(shared / "data/opencv_stereo", tmp_path, 0, mirrored=which)
+    with pytest.raises(CalibrationError, match="camera right: its pictures are mirrored, or those"):
         calibrate(folder)
