@@ -88,26 +88,24 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, Stream]]:
         for _ in range(1 + _MAX_REDIRECTIONS):
             kind = HTTPSConnection if place.scheme == "https" else HTTPConnection
             with closing(kind(place.place, timeout=PATIENCE_S)) as connection:
-                connection.connect()
+                _ask(connection, place.target, first.login if place.origin == first.origin else "")
                 stream = Stream(connection.sock)
-                login = first.login if place.origin == first.origin else ""
-                answer = _asked(connection, stream, place.target, login)
-                if answer.status not in _REDIRECTIONS:
-                    _check_status(answer.status, first, place, where)
-                    yield answer, stream
-                    return
-                place = _redirected(place, answer, where)
+                answer = HTTPResponse(cast("socket.socket", stream), method="GET")
+                with closing(answer):
+                    answer.begin()
+                    if answer.status not in _REDIRECTIONS:
+                        _check_status(answer.status, first, place, where)
+                        yield answer, stream
+                        return
+                    place = _redirected(place, answer, where)
     except (OSError, ValueError, HTTPException) as problem:
         raise CaptureError(f"{where}: {_text(problem)}") from None
     raise CaptureError(f"{where}: redirects more than {_MAX_REDIRECTIONS} times")
 
 
-def _asked(connection: HTTPConnection, stream: Stream, target: str, login: str) -> HTTPResponse:
+def _ask(connection: HTTPConnection, target: str, login: str) -> None:
     headers = {"Accept": "*/*", "Connection": "close"}
     connection.request("GET", target, headers=headers | ({"Authorization": login} if login else {}))
-    answer = HTTPResponse(cast("socket.socket", stream), method="GET")
-    answer.begin()
-    return answer
 
 
 def _redirected(place: WebAddress, answer: HTTPResponse, where: str) -> WebAddress:

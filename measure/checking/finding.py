@@ -20,8 +20,8 @@ class Finding:
     """One line of a check or of the judgement of a calibration."""
 
     level: Level  # WRONG spoils results; WEAK costs accuracy; NOTE is worth knowing
-    # "balls", "body", "calibration", "clock", "colour", "coverage", "exposure", "frames"; of a
-    # calibration "accuracy", "boards", "cameras", "lens", "marks".
+    # "balls", "body", "calibration", "cameras", "clock", "colour", "coverage", "exposure",
+    # "frames", "poses"; of a calibration "accuracy", "boards", "cameras", "lens", "marks".
     topic: str
     text: str  # what, where, how much, and what to do
     camera: str = ""  # the camera it concerns, where `text` does not name it; empty for all
