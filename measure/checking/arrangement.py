@@ -16,7 +16,7 @@ from measure.measuring.association import associate
 from measure.measuring.tracking.predictive.pose_checks import disagreeing_cameras
 from measure.model import Body, Camera, Detection
 
-_TRIED = 6  # Frame sets
+_FEWEST, _TRIED = 3, 6  # Frame sets
 _AGREES, _BELIEVED = 0.5, 0.8
 """Shares of them from which all cameras agree as they are, and with a mistake undone."""
 _FEW = 4  # Cameras up to which every order is tried; of more, exchanges of two
@@ -76,12 +76,13 @@ def arrangement_findings(
     """A line if cameras contradict each other, but agree once one such mistake is undone.
 
     Where several mistakes explain it, the one that concerns the fewest cameras is named; none, if
-    two of those do.
+    two of those do. Frame sets in which no two cameras see two balls tell nothing.
     """
-    some = [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, _TRIED).round().astype(int))]
+    shown = [one for one in seen if sum(len({d.ball for d in f}) > 1 for f in one.values()) > 1]
+    some = shown[:: max(1, -(-len(shown) // _TRIED))]
     by_name = {camera.name: camera for camera in cameras}
     as_it_is = _agreeing(some, body, cameras)
-    if as_it_is >= _AGREES * len(some):
+    if len(some) < _FEWEST or as_it_is >= _AGREES * len(some):
         return []
     found: list[tuple[int, int, _Mistake]] = []
     for mistake in _mistakes(by_name):

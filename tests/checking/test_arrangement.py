@@ -25,7 +25,7 @@ def rig(count):
     }
 
 
-def seen(cameras, body=RAVEN, frames=8):
+def seen(cameras, body=RAVEN, frames=12):
     """Balls of each frame set, by camera."""
     out = []
     for k in range(frames):
@@ -90,6 +90,13 @@ def test_so_is_any_order_of_up_to_four(order):
 def test_pictures_turned_over_are_named(names, way, said):
     (text,) = found(turned(seen(rig(4)), *way, *names), rig(4))
     assert text.startswith(f"the pictures of {', '.join(names)} are {said}; with that undone")
+
+
+def test_a_body_that_is_out_of_view_for_most_of_the_time_shows_it():
+    wrong = exchanged(seen(rig(3)), "cam0", "cam1")
+    empty = [{name: [] for name in rig(3)}] * 12
+    assert len(found([*empty, *wrong, *empty], rig(3))) == 1
+    assert found([*empty, *wrong[:2], *empty], rig(3)) == []  # as two frame sets do not
 
 
 def test_it_is_wrong():
