@@ -50,7 +50,7 @@ def test_links_that_lead_nowhere(tmp_path: Path) -> None:
 
 
 def test_a_name_that_no_file_can_have() -> None:
-    with pytest.raises(SessionError, match=r"cannot be read: .*embedded null"):
+    with pytest.raises(SessionError, match=r"cannot be read: (stat: )?embedded null"):
         check_ordinary(Path("a\0b"), SessionError)
     with pytest.raises(SessionError, match="cannot be read: File name too long"):
         check_ordinary(Path("x" * 5000), SessionError)
