@@ -294,7 +294,7 @@ class _Looking:
             located.append(locate_balls(seen, session.body, session.cameras))
             every.append(seen)
             self.step()
-        arrangement = arrangement_findings(every, session.body, session.cameras)
+        arrangement = arrangement_findings(every, searched, session.body, session.cameras)
         motion = MotionCheck() if arrangement else self._motion(searched, duplicates)
         # A late camera sees a moving body elsewhere than the others do: it does not stand there.
         misfits = tuple(

@@ -5,15 +5,15 @@ Balls found in whole pictures are associated as they are, and as each such mista
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
+from typing import ClassVar
 
 import numpy as np
 
 from measure.checking.finding import Finding, Level
-from measure.measuring.association import associate
-from measure.measuring.tracking.predictive.pose_checks import disagreeing_cameras
+from measure.checking.moved_cameras import SearchSample, search_sample
 from measure.model import Body, Camera, Detection
 
 _FEWEST, _TRIED = 3, 6  # Frame sets
@@ -28,71 +28,98 @@ Seen = Mapping[str, Sequence[Detection]]
 
 
 @dataclass(frozen=True)
-class _Mistake:
-    """What may have happened to the pictures: nothing, if both are empty."""
+class _Exchanged:
+    """Pictures that are under the names of other cameras."""
 
-    source: Mapping[str, str]  # by camera, the other one whose pictures are under its name
-    turned: tuple[str, ...] = ()  # cameras whose pictures are
-    way: str = ""  # of `_TURNS`
+    source: Mapping[str, str]  # by camera, the one whose pictures are under its name
+    cure: ClassVar[str] = (
+        "exchange them in session.toml, and where the cameras' addresses are given"
+    )
+
+    @property
+    def concerned(self) -> int:
+        """How many cameras."""
+        return len(self.source)
 
     def undone(self, seen: Seen, cameras: Mapping[str, Camera]) -> Seen:
         """What would have been found without it."""
         under = {shown: name for name, shown in self.source.items()}
         return {
-            name: [self._undone(d, cameras[name]) for d in seen.get(under.get(name, name), ())]
+            name: [replace(d, camera=name) for d in seen.get(under.get(name, name), ())]
             for name in cameras
         }
 
-    def _undone(self, detection: Detection, camera: Camera) -> Detection:
-        if camera.name not in self.turned:
-            return replace(detection, camera=camera.name)
-        signs = np.array(_TURNS[self.way])
-        middle = (np.array(camera.intrinsics.size_wh) - 1) / 2
-        return replace(
-            detection,
-            center_px=middle + signs * (detection.center_px - middle),
-            covariance_px=detection.covariance_px * np.outer(signs, signs),
-            outline_px=None,
-            outline_sd_px=None,
-        )
-
     def __str__(self) -> str:
-        if self.turned:
-            return f"the pictures of {', '.join(self.turned)} are {self.way}"
         pairs = (f"under {name} are those of {shown}" for name, shown in self.source.items())
         return f"the pictures of cameras are exchanged: {', '.join(pairs)}"
 
+
+@dataclass(frozen=True)
+class _TurnedOver:
+    """Pictures of some cameras that are mirrored or upside down."""
+
+    names: tuple[str, ...]
+    way: str  # of `_TURNS`
+    cure: ClassVar[str] = "turn that off in the camera or its driver, and record again"
+
     @property
-    def cure(self) -> str:
-        """What to do."""
-        if self.turned:
-            return "turn that off in the camera or its driver, and record again"
-        return "exchange them in session.toml, and where the cameras' addresses are given"
+    def concerned(self) -> int:
+        """How many cameras."""
+        return len(self.names)
+
+    def undone(self, seen: Seen, cameras: Mapping[str, Camera]) -> Seen:
+        """What would have been found without it."""
+        return {
+            **seen,
+            **{name: self._back(seen.get(name, ()), cameras[name]) for name in self.names},
+        }
+
+    def _back(self, detections: Sequence[Detection], camera: Camera) -> list[Detection]:
+        signs = np.array(_TURNS[self.way])
+        middle = (np.array(camera.intrinsics.size_wh) - 1) / 2
+        return [
+            replace(
+                d,
+                center_px=middle + signs * (d.center_px - middle),
+                covariance_px=d.covariance_px * np.outer(signs, signs),
+                outline_px=None,
+                outline_sd_px=None,
+            )
+            for d in detections
+        ]
+
+    def __str__(self) -> str:
+        return f"the pictures of {', '.join(self.names)} are {self.way}"
 
 
 def arrangement_findings(
-    seen: Sequence[Seen], body: Body, cameras: Sequence[Camera]
+    seen: Sequence[Seen], searched: Sequence[SearchSample], body: Body, cameras: Sequence[Camera]
 ) -> list[Finding]:
     """A line if cameras contradict each other, but agree once one such mistake is undone.
 
     Where several mistakes explain it, the one that concerns the fewest cameras is named; none, if
     two of those do. Frame sets in which no two cameras see two balls tell nothing.
+
+    Args:
+        searched: what was found in `seen`, frame set by frame set.
     """
-    shown = [one for one in seen if sum(len({d.ball for d in f}) > 1 for f in one.values()) > 1]
-    some = shown[:: max(1, -(-len(shown) // _TRIED))]
-    by_name = {camera.name: camera for camera in cameras}
-    as_it_is = _agreeing(some, body, cameras)
+    pairs = [(one, s) for one, s in zip(seen, searched, strict=True) if _tells(one)]
+    some = pairs[:: max(1, -(-len(pairs) // _TRIED))]
+    as_it_is = _agreeing(sample for _, sample in some)
     if len(some) < _FEWEST or as_it_is >= _AGREES * len(some):
         return []
-    found: list[tuple[int, int, _Mistake]] = []
+    by_name = {camera.name: camera for camera in cameras}
+    found: list[tuple[int, _Exchanged | _TurnedOver]] = []
     for mistake in _mistakes(by_name):
-        undone = [mistake.undone(one, by_name) for one in some]
-        if (agreeing := _agreeing(undone, body, cameras)) >= _BELIEVED * len(some):
-            found.append((len(mistake.source) + len(mistake.turned), agreeing, mistake))
-    fewest = [row for row in found if row[0] == min(concerned for concerned, *_ in found)]
+        undone = (mistake.undone(one, by_name) for one, _ in some)
+        agreeing = _agreeing(search_sample(one, body, cameras, 0.0) for one in undone)
+        if agreeing >= _BELIEVED * len(some):
+            found.append((agreeing, mistake))
+    least = min((mistake.concerned for _, mistake in found), default=0)
+    fewest = [row for row in found if row[1].concerned == least]
     if len(fewest) != 1:
         return []
-    ((_, agreeing, mistake),) = fewest
+    ((agreeing, mistake),) = fewest
     text = (
         f"{mistake}; with that undone all cameras agree in {agreeing} of {len(some)} frame sets, "
         f"as it is in {as_it_is}: {mistake.cure}; nothing else is judged before"
@@ -100,7 +127,7 @@ def arrangement_findings(
     return [Finding(Level.WRONG, "cameras", text)]
 
 
-def _mistakes(cameras: Mapping[str, Camera]) -> Iterator[_Mistake]:
+def _mistakes(cameras: Mapping[str, Camera]) -> Iterator[_Exchanged | _TurnedOver]:
     names = list(cameras)
     orders = (
         [dict(zip(names, order, strict=True)) for order in permutations(names)]
@@ -113,16 +140,16 @@ def _mistakes(cameras: Mapping[str, Camera]) -> Iterator[_Mistake]:
             cameras[name].intrinsics.size_wh == cameras[shown].intrinsics.size_wh
             for name, shown in moved.items()
         ):
-            yield _Mistake(moved)
+            yield _Exchanged(moved)
     for way in _TURNS:
         for turned in (*((name,) for name in names), tuple(names)):
-            yield _Mistake({}, turned, way)
+            yield _TurnedOver(turned, way)
 
 
-def _agreeing(some: Sequence[Seen], body: Body, cameras: Sequence[Camera]) -> int:
-    """In how many frame sets the body is found, and no camera sees balls elsewhere."""
-    found = [associate(body, cameras, seen) for seen in some]
-    return sum(
-        one.world_from_body is not None and not disagreeing_cameras(one, body, cameras, seen)
-        for one, seen in zip(found, some, strict=True)
-    )
+def _tells(seen: Seen) -> bool:
+    return sum(len({d.ball for d in found}) > 1 for found in seen.values()) > 1
+
+
+def _agreeing(searched: Iterable[SearchSample]) -> int:
+    """In how many frame sets the body was found, and no camera sees balls elsewhere."""
+    return sum(s.world_from_body is not None and not s.disagreeing_cameras for s in searched)
