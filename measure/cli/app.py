@@ -30,7 +30,6 @@ _MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.
 _PATH_FAULTS = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG}
 """Errors of paths, which are the user's if the path is: a missing folder, a file in its place."""
 
-_COMMON = Group("Options of all commands")  # without an order, below all that have one
 _CLAUSE_END = r"(?:;|\. )(?![^(]*\))"  # A semicolon or full stop, but not one in brackets
 
 
@@ -126,8 +125,9 @@ def build_app() -> App:
     )
     for title, commands in GROUPS.items():
         group = Group.create_ordered(title)
-        for name, summary in commands.items():
-            app.command(f"measure.cli.{name}:{name}", name=name, help=summary, group=group)
+        for place, (name, summary) in enumerate(commands.items()):
+            spec = f"measure.cli.{name}:{name}"
+            app.command(spec, name=name, help=summary, group=group, sort_key=place)
     app["--help"].group = app["--version"].group = Group.create_ordered("Options")
     app.register_install_completion_command(
         group=app["--help"].group, help="Complete words by Tab in your shell from now on."
@@ -148,7 +148,7 @@ def _dispatch(tokens: list[str]) -> int:
     @app.meta.default
     def launch(
         *words: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)],
-        disable: Annotated[tuple[str, ...], Parameter(show_default=False, group=_COMMON)] = (),
+        disable: Annotated[tuple[str, ...], Parameter(show=False)] = (),
     ) -> int:
         """Run a command.
 

@@ -87,6 +87,9 @@ def run(
     return 0
 
 
+_REASONS_SHOWN = 5  # Lines; those after the commonest few seldom tell another cause
+
+
 def print_summary(summary: Summary) -> None:
     """Print a run's summary, the reasons for missing poses, and the notes."""
     console.print_text(summary.sentence())
@@ -94,8 +97,12 @@ def print_summary(summary: Summary) -> None:
         console.print_text(f"  {WHICH_ACCURACY['stated']}")
     for name, one in summary.bodies.items():
         console.print_text(f"  {name}: {one.sentence()}")
-    for reason, count in summary.reasons.items():
+    reasons = list(summary.reasons.items())
+    for reason, count in reasons[:_REASONS_SHOWN]:
         console.print_text(f"  {count} x {reason}")
+    if len(reasons) > _REASONS_SHOWN:
+        more = len(reasons) - _REASONS_SHOWN
+        console.print_text(f"  and {more} rarer kinds, which summary.json lists")
     for note in summary.notes:
         levelled = note.startswith(("wrong: ", "weak: "))
         console.print_text(note if levelled else f"note: {note}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,8 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.]*\w)")
-"""A number that stands alone: not part of a name such as cam0."""
+from measure.results.reasons import counted
 
 WHICH_ACCURACY = {
     "forecast": (
@@ -50,8 +48,8 @@ class Summary:
     # share of frame sets in which a camera saw a ball effectively, by "ball@camera".
     effective: dict[str, float]
     suspended: dict[str, int]  # how often each reason suspended a view
-    # how often each reason, its numbers left out, kept a frame set from being "ok"; and how often a
-    # camera of a live run was away.
+    # how often each kind of reason, with its numbers' range and all names, kept a frame set from
+    # being "ok"; and how often a camera of a live run was away.
     reasons: dict[str, int]
     # what the session left to be known: missing pictures and the like; cameras that took part in no
     # pose; ball distances that contradict the body file ("wrong: ..."), and a body that another
@@ -95,9 +93,8 @@ def summarise(
 ) -> Summary:
     """Count and average the tables of a run; notes are the session's, and on the body file."""
     statuses = Counter(poses["status"].to_pylist())
-    # A row's reasons count without their numbers, each once.
     given = [text.split("; ") for text in poses["reason"].to_pylist() if text]
-    doubts = Counter(kind for row in given for kind in sorted({_NUMBER.sub("…", r) for r in row}))
+    names = [name for of in ("ball", "camera") for name in pc.unique(detections[of]).to_pylist()]
     seen = detections.group_by(["ball", "camera", "state"], use_threads=False)
     used = [
         row
@@ -120,7 +117,7 @@ def summarise(
         rms_px=_median(unflagged["rms_px"]),
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
-        reasons=dict(doubts.most_common()),
+        reasons=counted(given, names),
         notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *body_notes),
     )
 

@@ -7,6 +7,7 @@ import importlib
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -266,10 +267,18 @@ def test_linear_algebra_stays_on_one_thread_unless_asked(asked):
 
 
 @pytest.mark.parametrize("words", [["check"], ["plugins", "list"], []])
-def test_what_all_commands_have_in_common_comes_last(words, capsys):
+def test_what_few_need_stands_in_no_help(words, capsys):
     assert main([*words, "--help"]) == 0
-    panels = [line for line in capsys.readouterr().out.splitlines() if line.startswith("╭─ ")]
-    assert panels[-1].startswith("╭─ Options of all commands")
+    assert "--disable" not in capsys.readouterr().out
+    assert main(["plugins", "list", "--disable", "hough"]) == 0
+    assert "hough" not in capsys.readouterr().out
+
+
+def test_help_lists_commands_in_the_order_of_their_use(capsys):
+    assert main(["--help"]) == 0
+    listed = re.findall(r"^│ (\w+) {2,}", capsys.readouterr().out, re.M)
+    assert listed == [name for commands in GROUPS.values() for name in commands]
+    assert listed[:2] == ["demo", "studio"]
 
 
 def test_completion_is_installed_where_the_shell_looks(tmp_path, monkeypatch, capsys):

@@ -11,26 +11,38 @@ SEEN = pa.table(
 )
 
 
-def test_reasons_are_counted_without_their_numbers():
+def test_reasons_of_one_kind_are_counted_together():
     reasons = [
         "poorly determined: 85 mm, 1.8e+02 deg (1 sd); one camera only (cam3): its distance rests",
         "poorly determined: 1.6e+02 mm, 3 deg (1 sd)",
         "",
-        "one camera only (cam1): its distance rests",
+        "one camera only (cam1): its distance rests; ball red sits 2 px off",
+        "ball green is seen elsewhere by cam0, cam2",
+        "ball red is seen elsewhere by cam1",
     ]
-    poses = pa.table(
+    seen = pa.table(
         {
-            "status": ["flagged", "flagged", "ok", "flagged"],
-            "reason": reasons,
-            "position_sd_mm": [1.0] * 4,
-            "rotation_sd_deg": [1.0] * 4,
-            "rms_px": [1.0] * 4,
+            "ball": ["red", "green", "red", "red"],
+            "camera": ["cam0", "cam1", "cam2", "cam3"],
+            "state": ["effective"] * 4,
+            "index": [0] * 4,
+            "reason": [""] * 4,
         }
     )
-    assert summarise(SEEN, poses).reasons == {
-        "poorly determined: … mm, … deg (… sd)": 2,
-        "one camera only (cam3): its distance rests": 1,
-        "one camera only (cam1): its distance rests": 1,
+    poses = pa.table(
+        {
+            "status": ["flagged", "flagged", "ok", *["flagged"] * 3],
+            "reason": reasons,
+            "position_sd_mm": [1.0] * 6,
+            "rotation_sd_deg": [1.0] * 6,
+            "rms_px": [1.0] * 6,
+        }
+    )
+    assert summarise(seen, poses).reasons == {
+        "poorly determined: 85-1.6e+02 mm, 3-1.8e+02 deg (1 sd)": 2,
+        "one camera only (cam1, cam3): its distance rests": 2,
+        "ball green, red is seen elsewhere by cam0, cam1, cam2": 2,
+        "ball red sits 2 px off": 1,
     }
 
 
