@@ -25,6 +25,8 @@ from measure.results import Provenance, RunWriter, read_run
 from measure.results.accuracy import accuracy_map
 from measure.session import read_body
 from measure.viewing import state_colors
+from measure.viewing.report import figures
+from measure.viewing.report.page import Page
 from measure.viewing.report.run_report import run_report
 from measure.viewing.report.verdict import verdict
 
@@ -203,9 +205,14 @@ def test_no_folder_of_the_author_is_in_the_page(tmp_path):
 
 def _traces(page, kind):
     """The traces of one kind of all figures of a page."""
-    specs = re.findall(r'class="spec"[^>]*>(.*?)</script>', page, flags=re.DOTALL)
-    every = [trace for spec in specs for trace in json.loads(spec)["data"]]
+    every = [trace for spec in _specs(page) for trace in spec["data"]]
     return [trace for trace in every if trace["type"] == kind]
+
+
+def _specs(page):
+    """The figures of a page as plotly takes them."""
+    specs = re.findall(r'class="spec"[^>]*>(.*?)</script>', page, flags=re.DOTALL)
+    return [json.loads(spec) for spec in specs]
 
 
 def _values(packed):
@@ -236,7 +243,7 @@ def test_times_count_from_the_start_and_the_head_has_the_date(tmp_path):
         return replace(measurement(index), time_s=1.795628585e9 + index / 30)
 
     page = run_report([_run(tmp_path / "run", 12, measure=late)])
-    assert "<b>2026-11-25 " in page
+    assert "Recorded 2026-11-25 " in page
     curves = [t for t in _traces(page, "scatter") if t["name"] == "rotation"]
     assert curves
     for curve in curves:
@@ -277,9 +284,49 @@ def test_states_have_the_viewers_colors(tmp_path):
 def test_the_page_is_self_contained_and_small(tmp_path):
     page = run_report([_run(tmp_path / "run", 60)])
     markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
-    assert not re.search("src=|href=|@import|url\\(", markup)
+    assert not re.search(r"src=|href=(?!\"#)|@import|url\(", markup)
     assert "<script src" not in page
     assert len(page.encode()) < 8_000_000
+
+
+def test_contents_lead_to_every_section(tmp_path):
+    page = run_report([_run(tmp_path / "run", 12)])
+    led = re.findall(r'<a href="#(section-\d+)">([^<]+)</a>', page)
+    headed = re.findall(r'<section id="(section-\d+)"><h2>([^<]+)</h2>', page)
+    assert led == headed
+    assert len(led) > 5
+
+
+def test_words_between_backticks_are_code(tmp_path):
+    page = Page("t", "see `measure check`", "good")
+    page.table("h", "as `a<b>` says", ("c",), [("`x`",)])
+    made = page.render("")
+    assert "`" not in made
+    assert "<code>a&lt;b&gt;</code>" in made
+    assert made.count("<code>") == 3
+
+
+def test_no_axes_stand_empty_where_nothing_is_believed(tmp_path):
+    def doubted(index):
+        return replace(measurement(index), status=Status.FLAGGED, reason="poorly determined")
+
+    page = run_report([_run(tmp_path / "run", 12, measure=doubted)])
+    curves = [_values(trace["y"]) for trace in _traces(page, "scatter") if trace["x"] != [None]]
+    assert curves
+    assert "Rotation and speed" not in page
+    for spec in _specs(page):
+        drawn = [_values(trace.get("z", trace["y"])) for trace in spec["data"] if trace["y"]]
+        assert any(np.isfinite(values).any() for values in drawn)
+
+
+def test_a_spike_does_not_flatten_a_plot():
+    values = 1 + 0.01 * np.sin(np.arange(100.0))
+    assert figures.over_time(np.arange(100.0), {"SD": values}, "SD [mm]").layout.yaxis.range is None
+    values[50] = 20.0
+    drawn = figures.over_time(np.arange(100.0), {"SD": values}, "SD [mm]")
+    low, high = drawn.layout.yaxis.range
+    assert 0.98 < low < 0.99 < 1.01 < high < 1.02
+    assert "spikes are cut off" in drawn.layout.annotations[0].text
 
 
 @pytest.mark.slow

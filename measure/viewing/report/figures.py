@@ -60,13 +60,40 @@ def over_time(
     label: str,
     colors: Mapping[str, str] | None = None,
 ) -> go.Figure:
-    """Curves (n,) by name over times (n,), in a palette unless colored; NaN leaves a gap."""
+    """Curves (n,) by name over times (n,), in a palette unless colored; NaN leaves a gap.
+
+    The axis ends where nearly all values do: a spike far above them would flatten all the rest.
+    """
     figure = blank(x="time since the start [s]", y=label)
+    if (ends := _ends_without_spikes(np.concatenate([*curves.values()]))) is not None:
+        figure.update_yaxes(range=ends)
+        figure.add_annotation(text=_CUT, x=1, y=1, xref="paper", yref="paper", showarrow=False)
     for index, (name, values) in enumerate(curves.items()):
         line = {"color": (colors or {}).get(name, PALETTE[index % len(PALETTE)])}
         keep = thinned(len(values), values)
         figure.add_scatter(x=times_s[keep], y=values[keep], name=name, mode="lines", line=line)
     return figure
+
+
+_CUT = "spikes are cut off; a double click shows them"
+_SPIKE_SPANS = 4.0  # A spike is farther off than so many times the span of 98 % of the values
+
+
+def _ends_without_spikes(values: Floats) -> tuple[float, float] | None:
+    """Ends of an axis for the values (n,) without spikes; None if there are no spikes."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return None
+    low = np.quantile(known, 0.01, method="higher")
+    high = np.quantile(known, 0.99, method="lower")
+    span = float(high - low)
+    if span <= 0 or (
+        known.max() <= high + _SPIKE_SPANS * span and known.min() >= low - _SPIKE_SPANS * span
+    ):
+        return None
+    near = known[(known <= high + span) & (known >= low - span)]
+    margin = 0.1 * span
+    return float(near.min()) - margin, float(near.max()) + margin
 
 
 def log_log(

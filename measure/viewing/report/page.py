@@ -5,14 +5,17 @@ from __future__ import annotations
 import base64
 import gzip
 import html
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import plotly.graph_objects as go
 import plotly.io as pio
 from plotly.offline import get_plotlyjs
 
+_WORTH_CONTENTS = 5  # Sections; fewer are found by scrolling
 _LONG = 40  # A column with longer texts is set as words: flush left, broken into lines
 
 
@@ -24,7 +27,9 @@ class Page:
     verdict: str
     tone: str  # "good", "doubtful" or "bad"
     about: str = ""  # stands before the headings of the sections that follow
+    when: str = ""  # a line below the title
     _parts: list[str] = field(default_factory=list)
+    _headings: list[str] = field(default_factory=list)
     _figures: int = 0
 
     def facts(self, facts: Iterable[tuple[str, str]]) -> None:
@@ -37,10 +42,13 @@ class Page:
         self._parts.append(f'{about}<div class="facts">{tiles}</div>')
 
     def figures(self, heading: str, words: str, *figures: go.Figure) -> None:
-        """A section of one or more figures side by side."""
-        drawn = "".join(f"<div>{self._draw(figure)}</div>" for figure in figures)
-        body = f'<div class="pair">{drawn}</div>' if len(figures) > 1 else drawn
-        self._section(heading, words, body)
+        """A section of one or more figures side by side; those without a value are left out."""
+        worth = [figure for figure in figures if _shows_a_value(figure)]
+        drawn = "".join(f"<div>{self._draw(figure)}</div>" for figure in worth)
+        if worth:
+            self._section(
+                heading, words, f'<div class="pair">{drawn}</div>' if len(worth) > 1 else drawn
+            )
 
     def picture(self, heading: str, words: str, jpeg: bytes) -> None:
         """A section with one picture."""
@@ -77,20 +85,32 @@ class Page:
             packed = base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
             library = f'<script type="text/plain" id="plotly">{packed}</script>'
         draw = f"<script>{_beside('page.js')}</script>" if self._figures else ""
+        when = f'<p class="when">{html.escape(self.when)}</p>' if self.when else ""
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
             f"<title>{html.escape(self.title)}</title><style>{_beside('page.css')}</style>"
-            f"{library}</head><body><main><h1>{html.escape(self.title)}</h1>"
-            f'<div class="verdict {self.tone}">{html.escape(self.verdict)}</div>'
-            f"{''.join(self._parts)}<footer>{html.escape(footer)}</footer></main>"
+            f"{library}</head><body><main><h1>{html.escape(self.title)}</h1>{when}"
+            f'<div class="verdict {self.tone}">{_prose(self.verdict)}</div>'
+            f"{self._contents()}{''.join(self._parts)}<footer>{html.escape(footer)}</footer></main>"
             f"{draw}</body></html>"
         )
 
     def _section(self, heading: str, words: str, body: str) -> None:
-        explained = f"<p>{html.escape(words)}</p>" if words else ""
-        heading = html.escape(self.about + heading)
-        self._parts.append(f"<section><h2>{heading}</h2>{explained}{body}</section>")
+        explained = f"<p>{_prose(words)}</p>" if words else ""
+        self._headings.append(html.escape(self.about + heading))
+        place = f'id="section-{len(self._headings)}"'
+        title = f"<h2>{self._headings[-1]}</h2>"
+        self._parts.append(f"<section {place}>{title}{explained}{body}</section>")
+
+    def _contents(self) -> str:
+        """Links to the sections, where a page is too long to be seen whole."""
+        if len(self._headings) < _WORTH_CONTENTS:
+            return ""
+        links = (
+            f'<a href="#section-{n}">{heading}</a>' for n, heading in enumerate(self._headings, 1)
+        )
+        return f'<nav aria-label="Contents">{"".join(links)}</nav>'
 
     def _draw(self, figure: go.Figure) -> str:
         self._figures += 1
@@ -107,7 +127,25 @@ class Page:
 def _cell(value: object, is_text: bool) -> str:
     if isinstance(value, float):
         return f"<td>{'–' if value != value else f'{value:.4g}'}</td>"
-    return f"<td{_words(is_text)}>{html.escape(str(value))}</td>"
+    return f"<td{_words(is_text)}>{_prose(str(value))}</td>"
+
+
+def _prose(text: str) -> str:
+    """Words for a page; what stands between backticks is code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(text))
+
+
+def _shows_a_value(figure: go.Figure) -> bool:
+    """Whether any trace has a finite value, and any bar a height."""
+    for trace in figure.data:
+        drawn = trace.z if trace.type in ("heatmap", "scatter3d") else trace.y
+        known = np.asarray([] if drawn is None else drawn)
+        if known.dtype.kind not in "fiu":
+            if any(value is not None for value in known.ravel()):
+                return True
+        elif np.any(known != 0 if trace.type == "bar" else np.isfinite(known)):
+            return True
+    return False
 
 
 def _words(is_text: bool) -> str:

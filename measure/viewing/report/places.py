@@ -49,8 +49,8 @@ def trajectory(
     }
     axis = {"showbackground": False, "gridcolor": _LINES, "zerolinecolor": _LINES, "nticks": 5}
     scene = {f"{name}axis": {**axis, "title": f"{name} [mm]"} for name in "xyz"}
-    eye = {"eye": {"x": 1.9, "y": -2.3, "z": 1.3}}
-    figure = figures.blank(460, scene={**scene, "aspectmode": "data", "camera": eye})
+    eye = {"eye": {"x": 1.3, "y": -1.6, "z": 0.9}}
+    figure = figures.blank(400, scene={**scene, "aspectmode": "data", "camera": eye})
     figure.update_layout(showlegend=False, margin={"t": 0, "b": 40})
     line = {"color": figures.INK, "width": 1}
     x, y, z = positions[keep].T

@@ -48,7 +48,7 @@ def run_report(
         f"{run.body.name}: {text}" if several else text
         for run, (_, text) in zip(runs, verdicts, strict=True)
     ]
-    page = Page(_title(runs[0]), "\n".join(said), tone)
+    page = Page(_title(runs[0]), "\n".join(said), tone, when=_when(runs[0]))
     for run, off in zip(runs, errors, strict=True):
         page.about = f"{run.body.name}: " if several else ""
         page.facts(_facts(run))
@@ -96,19 +96,27 @@ def _facts(run: Run) -> Iterator[tuple[str, str]]:
     yield "frame sets", str(summary.frame_sets)
     yield "ok / flagged", f"{summary.ok} / {summary.flagged}"
     yield "lost / skipped", f"{summary.lost} / {summary.skipped}"
-    yield "median position SD", _number(summary.position_sd_mm, "mm")
-    yield "median rotation SD", _number(summary.rotation_sd_deg, "deg")
-    yield "median reprojection RMS", _number(summary.rms_px, "px")
-    if started := run.provenance.get("run", {}).get("started"):
-        yield "measured", f"{datetime.fromisoformat(started):%Y-%m-%d %H:%M} UTC"
+    for label, value, unit in (
+        ("median position SD", summary.position_sd_mm, "mm"),
+        ("median rotation SD", summary.rotation_sd_deg, "deg"),
+        ("median reprojection RMS", summary.rms_px, "px"),
+    ):
+        if np.isfinite(value):
+            yield label, f"{value:.3g} {unit}"
     if run.poses.num_rows:
-        if run.times_s[0] > _DATED_S:
-            yield "recorded", f"{datetime.fromtimestamp(run.times_s[0], UTC):%Y-%m-%d %H:%M:%S} UTC"
         yield "duration", f"{run.times_s[-1] - run.times_s[0]:.1f} s"
 
 
-def _number(value: float, unit: str) -> str:
-    return f"{value:.3g} {unit}" if np.isfinite(value) else "unknown"
+def _when(run: Run) -> str:
+    """When it was recorded, if the times are dated, and measured."""
+    said = []
+    if run.poses.num_rows and run.times_s[0] > _DATED_S:
+        begun = datetime.fromtimestamp(run.times_s[0], UTC)
+        said.append(f"Recorded {begun:%Y-%m-%d %H:%M:%S} UTC")
+    if started := run.provenance.get("run", {}).get("started"):
+        said.append(f"measured {datetime.fromisoformat(started):%Y-%m-%d %H:%M} UTC")
+    text = ", ".join(said)
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
 
 
 def _add_errors(page: Page, run: Run, errors: Floats, axes: str) -> None:
