@@ -66,7 +66,7 @@ def play(
     if not (options.send or options.viewer):
         raise ConfigError("where is it to be played to? give --send ADDRESS, --spawn or --connect")
     LogOptions(viewer=options.viewer).check_viewer()
-    reel = _Reel(read_runs(folder))
+    reel = Reel(read_runs(folder))
     sending = open_sending(options, registry, reel.run)
     with ExitStack() as stack:
         stop = stack.enter_context(until_stopped(over))
@@ -96,7 +96,7 @@ def _turns(times_s: Floats, options: PlayOptions) -> Iterator[tuple[int, float]]
             yield number, (round_ * (since_s[-1] + period_s) + time_s) / options.rate
 
 
-def _viewer(stack: ExitStack, reel: _Reel, address: str | None) -> Callable[[int], None]:
+def _viewer(stack: ExitStack, reel: Reel, address: str | None) -> Callable[[int], None]:
     """What shows a frame set in a viewer; nothing without one."""
     if address is None:
         return lambda _: None
@@ -109,7 +109,7 @@ def _viewer(stack: ExitStack, reel: _Reel, address: str | None) -> Callable[[int
     return lambda number: log.add(reel.measurements(number))
 
 
-class _Reel:
+class Reel:
     """All that is played of a run."""
 
     def __init__(self, runs: Sequence[Run]) -> None:

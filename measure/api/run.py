@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, get_args
 
 from measure.api.measuring import measure_bodies
+from measure.api.playing import Reel
 from measure.api.profiles import find_tracker
 from measure.api.run_log import LogOptions, RunLog
 from measure.checking import ColorlessCount
@@ -21,7 +22,7 @@ from measure.measuring.profile import Stage
 from measure.model import Body
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress, quiet
-from measure.results import Provenance, RunWriter, Summary, check_run_folder, digest
+from measure.results import Provenance, RunWriter, Summary, check_run_folder, digest, read_runs
 from measure.session import Session, Trajectory, open_session, read_trajectory
 
 _FIRST_FRAME_SETS = 3  # Frame sets that are looked at for colour before a run
@@ -71,7 +72,7 @@ def run(
 
     Args:
         session_path: the session's folder, which is only read.
-        on_note: called with a line that says what resuming the run costs.
+        on_note: called with a line that says what resuming the run costs, or mends.
 
     Raises:
         MeasureError: whatever is wrong with the session, calibration, plugins or settings; what was
@@ -87,7 +88,9 @@ def run(
         given = out, made_from, session.bodies, session.cameras, options.resume, options.overwrite
         writer = stack.enter_context(RunWriter(*given, session.reference))
         if writer.is_complete(total):
-            return writer.finish()
+            summary = writer.finish()
+            _mend_recording(session, out, options, on_note)
+            return summary
         if writer.kept:
             on_note(
                 f"measuring {min(writer.kept, total)} kept of {total} frame sets again, so that "
@@ -198,6 +201,30 @@ def _log(session: Session, out: Path, options: RunOptions, kept: int) -> RunLog:
     from measure.viewing.recording import passed_videos
 
     return RunLog(*given, _truths(session), passed_videos(session) if options.image_every else {})
+
+
+def _mend_recording(
+    session: Session, out: Path, options: RunOptions, on_note: Callable[[str], None]
+) -> None:
+    """Make the recording of a finished run anew from its tables, if it is not whole."""
+    if not options.recording:
+        return
+    from measure.viewing.recording import is_whole
+
+    path = out / "run.rrd"
+    if is_whole(path):
+        return
+    was = "damaged" if path.exists() else "not there"
+    reel = Reel(read_runs(out))
+    count = len(reel.times_s)
+    with _log(session, out, replace(options, image_every=0, viewer=None), count) as log:
+        for number in range(count):
+            log.add(reel.measurements(number))
+        log.close()
+    on_note(
+        f"{path} was {was}: made anew from the tables, "
+        "without pictures and what was detected in them"
+    )
 
 
 def _truths(session: Session) -> dict[str, Trajectory]:

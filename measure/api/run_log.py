@@ -123,7 +123,7 @@ class RunLog:
                 "out with --no-recording"
             )
 
-    def add(self, measurements: Sequence[Measurement], frame_set: FrameSet) -> None:
+    def add(self, measurements: Sequence[Measurement], frame_set: FrameSet | None = None) -> None:
         """Log a frame set, its pictures if it is their turn; RunError if the disk is full."""
         if self._log is None:
             return

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,9 @@ from measure.reading import check_ordinary
 
 MEND = "fetch it from where the run was made, or measure anew with --overwrite"
 """What helps where a run's file is damaged or missing."""
+_SEAL, _FRAME_SETS = b"crc32", b"frame_sets"
+"""What each batch of a stream bears: the CRC-32 of its data, as the schema says too; and how many
+frame sets are complete with it. After a power cut a file may end in zeros, which read as rows."""
 
 
 @contextmanager
@@ -103,10 +108,12 @@ class Journal(GrowingFile):
 
     def __init__(self, path: Path, schema: pa.Schema, kept: pa.Table, blame: str = "") -> None:
         super().__init__(path)
-        self._schema, self._kept, self._written, self._blame = schema, kept, 0, blame
+        self._schema = schema.with_metadata({_SEAL: "of each batch"})
+        self._kept, self._written, self._blame = kept, 0, blame
         self._rows: list[dict[str, Any]] = []
+        self._frame_sets = 0
         try:
-            self.append(bytes(schema.serialize()))
+            self.append(bytes(self._schema.serialize()))
         except OSError:
             self.close()
             raise
@@ -115,14 +122,25 @@ class Journal(GrowingFile):
         """Take rows, which must not change any more; they are written by the next `flush`."""
         self._rows += rows
 
-    def flush(self) -> None:
-        """Write all rows as one batch; those not written (OSError) are kept for another try."""
-        if self._rows:
+    def flush(self, frame_sets: int) -> None:
+        """Write all rows as one batch; those not written (OSError) are kept for another try.
+
+        Args:
+            frame_sets: how many have all their rows then, be it none.
+        """
+        if frame_sets > self._frame_sets:
             batch = pa.RecordBatch.from_pylist(self._rows, self._schema)
             self._refuse_other_rows(batch)
-            self.append(bytes(batch.serialize()))
-            self._rows = []
+            self.append(self._sealed(batch, frame_sets))
+            self._rows, self._frame_sets = [], frame_sets
             self._written += batch.num_rows
+
+    def _sealed(self, batch: pa.RecordBatch, frame_sets: int) -> bytes:
+        """The bytes of a batch in the stream."""
+        out, facts = BytesIO(), {_SEAL: str(_checksum(batch)), _FRAME_SETS: str(frame_sets)}
+        with pa.ipc.new_stream(out, self._schema) as stream:
+            stream.write_batch(batch, custom_metadata=facts)
+            return out.getvalue()[len(self._schema.serialize()) :]
 
     def _refuse_other_rows(self, batch: pa.RecordBatch) -> None:
         """Refuse rows that differ from those kept in their places, to the last digit."""
@@ -137,25 +155,36 @@ class Journal(GrowingFile):
 
 
 def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
-    """A table of a run, finished or not: whole batches of the stream, a torn last one left out.
+    """A table of a run, finished or not: whole batches of the stream, a torn end left out.
 
     RunError: neither the table nor its stream is there, or it is not what it should be.
     """
+    return read_begun_table(folder, name, schema)[0]
+
+
+def read_begun_table(folder: Path, name: str, schema: pa.Schema) -> tuple[pa.Table, int | None]:
+    """`read_table`, and how many frame sets have all their rows in it; None where it is not said.
+
+    It is said of the stream of a run that is not finished: its last rows may be lost.
+    """
     finished, stream = folder / f"{name}.parquet", folder / f"{name}.arrows"
-    where = stream if stream.exists() else finished
+    where, frame_sets = stream if stream.exists() else finished, None
     if is_missing(folder, name):
         raise RunError(f"{folder} is torn: it has no {name}.parquet: {MEND}")
     try:
         check_ordinary(where, RunError)
-        table = (_whole_batches if where == stream else _whole_table)(where, schema)
+        if where == stream:
+            table, frame_sets = _whole_batches(where, schema)
+        else:
+            table = _whole_table(where, schema)
         table.validate(full=True)  # texts that are none, lists longer than what they hold
     except (pa.ArrowException, OSError, RunError) as error:
         if where == stream and not stream.exists():  # it has become a table just now
-            return read_table(folder, name, schema)
+            return read_begun_table(folder, name, schema)
         if isinstance(error, RunError):
             raise
         raise RunError(f"{where}: cannot be read ({error}): {MEND}") from error
-    return table
+    return table, frame_sets
 
 
 def is_missing(folder: Path, name: str) -> bool:
@@ -179,17 +208,38 @@ def _refuse_missing(wanted: pa.Schema, there: pa.Schema) -> None:
         raise pa.ArrowKeyError(f"column {twice[0]} is there twice")
 
 
-def _whole_batches(path: Path, schema: pa.Schema) -> pa.Table:
-    batches = []
-    with path.open("rb") as file:
-        try:
-            for batch in pa.ipc.open_stream(file):
-                batches.append(batch)  # noqa: PERF402 - what was read before a torn end counts
-        except (pa.ArrowException, OSError, EOFError):
-            pass
+def _whole_batches(path: Path, schema: pa.Schema) -> tuple[pa.Table, int | None]:
+    """The rows before the first torn batch, and how many frame sets they hold entirely."""
+    batches: list[pa.RecordBatch] = []
+    frame_sets: int | None = 0
+    # From memory: lengths that are none, in a torn end, would be asked of the file.
+    data = pa.BufferReader(path.read_bytes())
+    try:
+        stream = pa.ipc.open_stream(data)
+        if _SEAL not in (stream.schema.metadata or {}):
+            frame_sets = None  # of an earlier version
+        while True:
+            batch, facts = stream.read_next_batch_with_custom_metadata()
+            batch.validate(full=True)
+            if frame_sets is not None:
+                if int(facts[_SEAL]) != _checksum(batch):
+                    break
+                frame_sets = int(facts[_FRAME_SETS])
+            batches.append(batch)
+    except (pa.ArrowException, OSError, StopIteration, KeyError, TypeError, ValueError):
+        pass  # what was read before a torn end counts
     table = pa.Table.from_batches(batches, batches[0].schema if batches else schema)
     _refuse_missing(schema, table.schema)
-    return table.select(schema.names).cast(schema)
+    return table.select(schema.names).cast(schema), frame_sets
+
+
+def _checksum(batch: pa.RecordBatch) -> int:
+    """Of all numbers and texts of a batch, as they stand in the file."""
+    value = 0
+    for column in batch.columns:
+        for buffer in column.buffers():
+            value = value if buffer is None else zlib.crc32(buffer, value)
+    return value
 
 
 def finish(folder: Path, name: str, table: pa.Table) -> None:
@@ -198,4 +248,6 @@ def finish(folder: Path, name: str, table: pa.Table) -> None:
     whole = table.combine_chunks()
     with replacing(folder / f"{name}.parquet") as fresh, fresh.open("wb") as out:
         pq.write_table(whole, out, compression="zstd")
+        out.flush()
+        os.fsync(out.fileno())  # a power cut must not take the table after the stream
     (folder / f"{name}.arrows").unlink(missing_ok=True)

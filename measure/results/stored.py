@@ -15,7 +15,7 @@ from measure.measuring import Status
 from measure.model import Body, Camera
 from measure.model.observations import Reason, State
 from measure.reading import check_ordinary
-from measure.results.journal import MEND, is_missing, read_table
+from measure.results.journal import MEND, is_missing, read_begun_table
 from measure.results.provenance import Provenance, changed_versions, read_provenance
 from measure.results.tables import BODY, PLACE, numbers, schemas
 
@@ -31,23 +31,26 @@ def read_tables(
     begun_only: bool = False,
     relative: bool = False,
 ) -> dict[str, pa.Table]:
-    """The rows of all frame sets whose pose was written; a kill may leave some of one more.
+    """The rows of all frame sets of which all were written; a kill may leave some of one more.
 
-    Tables of a run that was only begun may be missing. RunError: one is missing or cannot be read,
-    or holds what no run of these bodies and cameras writes.
+    A power cut may take the last rows of each table. Tables of a run that was only begun may be
+    missing. RunError: one is missing or cannot be read, or holds what no run of these bodies and
+    cameras writes.
     """
     # Poses first: of a run that is being written, what they were made from is there already.
-    tables = {
-        name: schema.empty_table()
+    found = {
+        name: (schema.empty_table(), None)
         if begun_only and is_missing(folder, name)
-        else read_table(folder, name, schema)
+        else read_begun_table(folder, name, schema)
         for name, schema in reversed(schemas(len(bodies) > 1, relative).items())
     }
+    tables = {name: table for name, (table, _) in found.items()}
     for what, table in tables.items():
-        found = (_wrong_rows(what, rows_of_body(table, b.name), b, cameras) for b in bodies)
-        if wrong := _wrong_bodies(table, bodies) or next(filter(None, found), ""):
+        each = (_wrong_rows(what, rows_of_body(table, b.name), b, cameras) for b in bodies)
+        if wrong := _wrong_bodies(table, bodies) or next(filter(None, each), ""):
             raise RunError(f"{folder}: the {what} are damaged: {wrong}: {MEND}")
-    complete = tables["poses"].num_rows // len(bodies)
+    known = [frame_sets for _, frame_sets in found.values() if frame_sets is not None]
+    complete = min([tables["poses"].num_rows // len(bodies), *known])
     return {name: t.filter(pc.less(t["index"], complete)) for name, t in tables.items()}
 
 

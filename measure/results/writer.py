@@ -262,7 +262,7 @@ class RunWriter:
     def _flush(self) -> None:
         if self._begun:
             for journal in self._journals.values():
-                journal.flush()
+                journal.flush(self._appended)
             self._flushed_s = self._clock()
 
     def _mend_csv(self, tables: Mapping[str, pa.Table]) -> None:

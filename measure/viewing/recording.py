@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -233,6 +234,20 @@ def open_recording(
     stream.set_sinks(*sinks, default_blueprint=run_blueprint(cameras, bodies, truth))
     stream.send_recording_name(name)
     return stream
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a file is a recording that was closed, and all of it can be read."""
+    from rerun.chunk import RrdReader
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that it has no end
+            reader = RrdReader(path)
+            reader.store()  # an error without an end
+            return sum(1 for _ in reader.stream()) > 0
+    except (OSError, RuntimeError, ValueError):
+        return False
 
 
 def check_listening(address: str) -> None:

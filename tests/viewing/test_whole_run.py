@@ -225,3 +225,24 @@ def test_an_interrupted_run_has_one_recording_which_never_holds_less(session: Pa
     whole = (out / "run.rrd").stat().st_mtime_ns
     assert measure(SETS, resume=True) == list(range(SETS))
     assert (out / "run.rrd").stat().st_mtime_ns == whole, "nothing was left to measure"
+
+
+@pytest.mark.parametrize("damage", ["cut", "ends in zeros", "empty", "gone"])
+def test_a_broken_recording_of_a_finished_run_is_made_anew_from_its_tables(
+    measured: Path, session: Path, tmp_path: Path, damage: str
+) -> None:
+    out, path, notes = tmp_path / "run", tmp_path / "run" / "run.rrd", list[str]()
+    shutil.copytree(measured, out)
+    data = path.read_bytes()
+    left = {"cut": data[:-1], "ends in zeros": data[:-4096] + bytes(4096)}
+    path.write_bytes(left.get(damage, b""))
+    if damage == "gone":
+        path.unlink()
+    given = session, out, api.load_profile(), Registry.discover()
+    api.run(*given, api.RunOptions(resume=True), on_note=notes.append)
+    assert "run.rrd was" in notes[0]
+    assert "made anew from the tables, without pictures" in notes[0]
+    stored = read_recording(path)
+    assert list(column(stored[entities.error("x")], "Scalars:scalars")) == list(range(SETS))
+    api.run(*given, api.RunOptions(resume=True), on_note=notes.append)
+    assert len(notes) == 1, "it is whole now"
