@@ -302,7 +302,8 @@ class _Looking:
             for misfit in camera_misfits(with_velocities(searched), session.body, session.cameras)
             if misfit.since_s is not None or misfit.camera not in motion.late
         )
-        pictures = self._stalls(duplicates) + colorless.findings() + overexposed.findings()
+        pictures = [*self._stalls(duplicates), *duplicates.findings()]
+        pictures += colorless.findings() + overexposed.findings()
         return _Look(self._total, searched, located, motion, pictures, arrangement, misfits)
 
     def step(self) -> None:

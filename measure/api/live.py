@@ -126,6 +126,7 @@ def live(
             burn_in.enter_realtime(one.stages.detectors)
         state, watch = None, _PaceMeter(gathering, rig)
         for frame_set, found in measure_frame_sets(pipelines, frame_sets()):
+            rig.note_copies(frame_set.images, found[0].copies)
             known = [_with_away(each, rig.away) for each in found]
             sending.send(_sent_poses(sent, known), images=frame_set.images)
             writer.append(*known)
@@ -215,7 +216,9 @@ def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> Non
 
 def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:
     """The same, saying which cameras are away; a pose without them is as good as it states."""
-    missing = [f"{name} is away" for name in away if name not in measured.frames]
+    missing = [
+        f"{name} is away" for name in away if name not in {*measured.frames, *measured.copies}
+    ]
     if not missing:
         return measured
     return replace(measured, reason="; ".join(filter(None, (measured.reason, *missing))))

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -134,6 +134,11 @@ class Cameras:
     def note_read(self, name: str, readable: bool) -> None:
         """Hear whether a picture that was handed on could be decoded."""
         self._watch.read(name, readable)
+
+    def note_copies(self, names: Iterable[str], copies: Mapping[str, str]) -> None:
+        """Hear of which cameras pictures were measured, and which showed another camera's."""
+        for name in {*names, *copies}:
+            self._watch.compare(name, copies.get(name, ""))
 
     @property
     def over(self) -> bool:

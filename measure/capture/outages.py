@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
@@ -54,12 +54,17 @@ class _Attendance:
     back_s: float = math.inf
     back_time_s: float = math.nan
     trouble: str = ""
-    spoiled: int = 0
+    # how many pictures in a row are of no use, by who found that.
+    spoiled: Counter[str] = field(default_factory=Counter)
     past: deque[Outage] = field(default_factory=lambda: deque(maxlen=_LISTED))
 
     @property
     def period_s(self) -> float:
         return float(np.median(self.steps)) if self.steps else _FIRST_PERIOD_S
+
+    @property
+    def is_spoiled(self) -> bool:
+        return max(self.spoiled.values(), default=0) >= _MISSING
 
     @property
     def away(self) -> bool:
@@ -109,7 +114,7 @@ class OutageWatch:
             step_s = time_s - one.time_s
             if exact and step_s > (_MISSING + 0.5) * one.period_s:
                 self._miss(name, one)
-            if one.outage is not None and math.isinf(one.back_s) and one.spoiled < _MISSING:
+            if one.outage is not None and math.isinf(one.back_s) and not one.is_spoiled:
                 one.back_s, one.back_time_s = now, time_s
             if not math.isnan(step_s):
                 one.steps.append(step_s)
@@ -123,11 +128,18 @@ class OutageWatch:
 
     def read(self, name: str, readable: bool) -> None:
         """A picture of a camera was decoded, or could not be; three in a row are missing."""
+        self._judge(name, "decoding", "" if readable else "its pictures cannot be decoded")
+
+    def compare(self, name: str, whose: str) -> None:
+        """A picture of a camera was its own (`whose` is empty), or another camera's."""
+        self._judge(name, "comparing", f"it shows the pictures of {whose}" if whose else "")
+
+    def _judge(self, name: str, by: str, trouble: str) -> None:
         one = self._cameras[name]
         with self._lock:
-            one.spoiled = 0 if readable else one.spoiled + 1
-            if one.spoiled >= _MISSING:
-                one.trouble = "its pictures cannot be decoded"
+            one.spoiled[by] = one.spoiled[by] + 1 if trouble else 0
+            if one.spoiled[by] >= _MISSING:
+                one.trouble = trouble
                 self._miss(name, one)
 
     def look(self) -> list[Outage]:

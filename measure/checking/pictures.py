@@ -31,19 +31,37 @@ class DuplicateCount:
     Attributes:
         compared: frame numbers by camera.
         repeated: those of images that are the same as the one before, by camera.
+        shared: those of the first of two cameras where both show the same exposure.
     """
 
     def __init__(self) -> None:
         self._duplicates = DuplicateImages()
         self.compared: dict[str, set[int]] = {}
         self.repeated: dict[str, set[int]] = {}
+        self.shared: dict[tuple[str, str], set[int]] = {}
 
     def add(self, frame_set: FrameSet) -> None:
         """Compare each camera's picture with its last one."""
         for name, image in frame_set.images.items():
             self.compared.setdefault(name, set()).add(image.frame)
-        for name in self._duplicates.of(frame_set):
+        found = self._duplicates.of(frame_set)
+        for name in found.repeated:
             self.repeated.setdefault(name, set()).add(frame_set.images[name].frame)
+        for pair in found.shared:
+            self.shared.setdefault(pair, set()).add(frame_set.images[pair[0]].frame)
+
+    def findings(self) -> list[Finding]:
+        """One line for each two cameras that show the same pictures."""
+        return [
+            Finding(
+                Level.WRONG,
+                "frames",
+                f"{a} and {b} hold the same pictures ({len(same)} of {len(self.compared[a])} "
+                "compared): one device under two names, or a wrong input of a video switch; give "
+                "each camera an address of its own, and record anew",
+            )
+            for (a, b), same in self.shared.items()
+        ]
 
 
 def duplicate_findings(

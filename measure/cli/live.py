@@ -111,9 +111,18 @@ class _StateLines:
         now = time.monotonic()
         if now - self._last >= _LINE_EVERY_S:
             self._last = now
-            there = f"{len(state.cameras) - len(state.away)} of {len(state.cameras)} cameras"
-            away = f" ({', '.join(state.away)} away)" if state.away else ""
+            out = {*state.away, *(name for one in state.latest for name in one.copies)}
+            there = f"{len(state.cameras) - len(out)} of {len(state.cameras)} cameras"
+            away = f" ({', '.join(_missing(state))})" if _missing(state) else ""
             console.note("; ".join([*map(_where, state.latest), there + away, _pace(state)]))
+
+
+def _missing(state: LiveState) -> list[str]:
+    """The cameras that are away, and why where pictures come all the same."""
+    copies = {name: whose for one in state.latest for name, whose in one.copies.items()}
+    away = [name for name in state.away if name not in copies]
+    out = [f"{', '.join(away)} away"] if away else []
+    return out + [f"{name} shows the pictures of {whose}" for name, whose in copies.items()]
 
 
 def _where(latest: Measurement) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -41,6 +42,8 @@ class Measurement:
     residuals_px: dict[tuple[str, str], Floats] = field(default_factory=dict)
     # names of the cameras in which the whole frame was searched for some ball.
     searched: tuple[str, ...] = ()
+    # cameras that show another camera's images, and are left out, with that one's name.
+    copies: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def doubts(self) -> str:
@@ -54,6 +57,12 @@ class Measurement:
             return self
         pose = replace(self.pose, flags=(*self.pose.flags, flag))
         return replace(self, pose=pose, status=Status.FLAGGED)
+
+    def with_copies(self, copies: Mapping[str, str]) -> Measurement:
+        """The same, saying which camera shows whose images: a pose without it is no worse."""
+        said = [f"{copy} shows the pictures of {whose}" for copy, whose in copies.items()]
+        reason = "; ".join(filter(None, (self.reason, *said)))
+        return replace(self, copies=dict(copies), reason=reason) if said else self
 
     def with_tolerance(self, body: Body) -> Measurement:
         """The same, with the body's tolerance added to the pose's covariance: no image shows it."""

@@ -13,7 +13,7 @@ from measure.errors import MeasureError
 from measure.host import Detector, PoseSolver, Triangulator
 from measure.measuring import plugin_calls
 from measure.measuring.body_scale import ScaleMonitor
-from measure.measuring.duplicate_images import DuplicateImages
+from measure.measuring.duplicate_images import DuplicateImages, NewImages
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_surrounding_poses
 from measure.measuring.time_alignment import FrameSetObservations
@@ -88,7 +88,8 @@ class Pipeline:
             raise errors[0]
 
     def _draft(self, frame_set: FrameSet, pool: Executor) -> Draft:
-        frame_set, flag = self._duplicates.without_duplicates(frame_set)
+        new = self._duplicates.without_duplicates(frame_set)
+        frame_set = new.frame_set
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
             head = frame_set.index, frame_set.time_s, _frames(frame_set)
@@ -99,7 +100,16 @@ class Pipeline:
         review = self.stages.tracker.doubt(frame_set)
         if review is not None:
             review(self._detect(frame_set, {}, pool))
-        return draft.flagged(flag) if flag else draft
+        return self._with_duplicates(draft, new)
+
+    def _with_duplicates(self, draft: Draft, new: NewImages) -> Draft:
+        """Name the cameras that show another one's images, and flag what duplicates spoil."""
+        pose, duplicates = draft.measurement.pose, self._duplicates
+        shared = duplicates.judge(new.shared, () if pose is None else pose.cameras)
+        draft = replace(draft, measurement=draft.measurement.with_copies(duplicates.copies))
+        for flag in filter(None, (new.flag, shared)):
+            draft = draft.flagged(flag)
+        return draft
 
     def _searched(self, frame_set: FrameSet, draft: Draft, pool: Executor) -> Draft:
         """Search the images in which the tracker just lost the body, so that no pose is missed."""

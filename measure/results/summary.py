@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from measure.model import Reason
 from measure.results.reasons import counted
 
 WHICH_ACCURACY = {
@@ -169,10 +170,12 @@ def _idle(suspended: pa.Table, used: set[str]) -> tuple[str, ...]:
     reasons: dict[str, Counter[str]] = {}
     for row in suspended.select(["camera", "reason"]).to_pylist():
         reasons.setdefault(row["camera"], Counter())[row["reason"]] += 1
+    main = {name: counts.most_common(1)[0][0] for name, counts in reasons.items()}
+    question = "does its calibration fit, and does it see the body? "
     return tuple(
-        f"camera {name} took part in no pose (its balls: {counts.most_common(1)[0][0]}): does its "
-        "calibration fit, and does it see the body? `measure check` says more"
-        for name, counts in reasons.items()
+        f"camera {name} took part in no pose (its balls: {reason}): "
+        f"{'' if reason == Reason.NO_IMAGE else question}`measure check` says more"
+        for name, reason in main.items()
         if used and name not in used
     )
 

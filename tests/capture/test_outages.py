@@ -107,6 +107,18 @@ def test_pictures_that_cannot_be_decoded_are_missing(watched):
     assert watched.changes() == [("a", True), ("a", False)]
 
 
+def test_pictures_of_another_camera_are_missing_though_they_can_be_decoded(watched):
+    for _ in range(20):
+        watched.run(PERIOD_S)
+        watched.watch.read("a", readable=True)
+        watched.watch.compare("a", "b")
+    assert watched.changes() == [("a", True)]
+    assert watched.told[0][1].sentence() == "a is away: it shows the pictures of b"
+    watched.watch.compare("a", "")
+    watched.run(2.0)
+    assert watched.changes() == [("a", True), ("a", False)]
+
+
 def test_a_camera_that_never_delivers_is_away_from_the_beginning():
     watched = Watched()
     watched.run(4.0, "b")

@@ -137,8 +137,9 @@ def _before(turn: Turn) -> bytes:
 
 
 def _strange(turn: Turn) -> bytes:
-    pictures = turn.camera.strange
-    return turn.part(pictures[turn.number % len(pictures)] if pictures else turn.jpeg)
+    """What the other camera shows at that time."""
+    pictures, order = turn.camera.strange, turn.camera.order()
+    return turn.part(pictures[order[turn.number % len(order)]] if pictures else turn.jpeg)
 
 
 def _stamped(change: Callable[[float], float | None]) -> Callable[[Turn], bytes]:
@@ -192,7 +193,7 @@ FAULTS = (
     Fault("frozen", True, part=_sends(lambda turn: turn.part(turn.camera.pictures[0]))),
     Fault("pictures of before", False, part=_sends(_before)),
     Fault("dark", False, part=_sends(_dark)),
-    Fault("pictures of another camera", False, part=_sends(_strange)),
+    Fault("pictures of another camera", None, part=_sends(_strange)),
     Fault("no stamps", False, part=_sends(_stamped(lambda taken_s: None))),
     Fault("stamps backwards", False, part=_sends(_stamped(lambda taken_s: 1e9 - taken_s))),
     Fault("stamps an hour ahead", False, part=_sends(_stamped(lambda taken_s: taken_s + 3600))),

@@ -29,8 +29,8 @@ def test_a_camera_that_stalls_is_left_out_until_it_goes_on(encoded):
     seen = []
     for index, stalled in enumerate([0, 1, 1, 3]):
         given = frame_set(index, {"a": index, "b": index + 9, "c": stalled}, encoded)
-        left, flag = duplicates.without_duplicates(given)
-        seen.append((sorted(left.images), flag))
+        left = duplicates.without_duplicates(given)
+        seen.append((sorted(left.frame_set.images), left.flag))
     assert seen == [
         (["a", "b", "c"], ""),
         (["a", "b", "c"], ""),
@@ -42,10 +42,10 @@ def test_a_camera_that_stalls_is_left_out_until_it_goes_on(encoded):
 def test_if_all_cameras_stall_the_pose_is_flagged():
     duplicates = DuplicateImages()
     duplicates.without_duplicates(frame_set(0, {"a": 1, "b": 2}))
-    left, flag = duplicates.without_duplicates(frame_set(1, {"a": 1, "b": 2}))
-    assert sorted(left.images) == ["a", "b"]
-    assert "a, b repeat those before" in flag
-    assert duplicates.without_duplicates(frame_set(2, {"a": 3, "b": 4}))[1] == ""
+    left = duplicates.without_duplicates(frame_set(1, {"a": 1, "b": 2}))
+    assert sorted(left.frame_set.images) == ["a", "b"]
+    assert "a, b repeat those before" in left.flag
+    assert duplicates.without_duplicates(frame_set(2, {"a": 3, "b": 4})).flag == ""
 
 
 def test_one_frame_in_two_sets_is_no_stall():
@@ -54,8 +54,76 @@ def test_one_frame_in_two_sets_is_no_stall():
     one = FrameSet(0, 0.0, {"a": picture("a", 0, 5), "b": picture("b", 0, 6)})
     two = FrameSet(1, 0.03, {"a": picture("a", 0, 5), "b": picture("b", 1, 7)})
     duplicates.without_duplicates(one)
-    left, flag = duplicates.without_duplicates(two)
-    assert (sorted(left.images), flag) == (["a", "b"], "")
+    left = duplicates.without_duplicates(two)
+    assert (sorted(left.frame_set.images), left.flag) == (["a", "b"], "")
+
+
+def scene(camera, frame, seed, encoded=True):
+    """A picture of something, with noise: equal for equal seeds only."""
+    pixels = np.random.default_rng(seed).integers(0, 255, (64, 64, 3), np.uint8)
+    return Image(camera, frame, frame / 30, lambda: pixels, bytes(pixels) if encoded else None)
+
+
+def scenes(index, seeds, encoded=True):
+    images = {name: scene(name, index, seed, encoded) for name, seed in seeds.items()}
+    return FrameSet(index, index / 30, images)
+
+
+@pytest.mark.parametrize("encoded", [True, False])
+@pytest.mark.parametrize("behind", [0, 1, 2])
+def test_a_camera_that_shows_anothers_pictures_is_named_and_left_out(encoded, behind):
+    """Once a pose tells which of the two; as long as it does, and no longer."""
+    duplicates, seen = DuplicateImages(), []
+    for index in range(10):
+        b = 10 * (index - behind) if 3 <= index < 7 else 10 * index + 1
+        given = scenes(
+            index, {"a": 10 * index, "b": b, "c": 1000 + index, "d": 2000 + index}, encoded
+        )
+        new = duplicates.without_duplicates(given)
+        used = set(new.frame_set.images) - ({"b"} if 3 <= index < 7 else set())
+        flag = duplicates.judge(new.shared, used)
+        seen.append((sorted(new.frame_set.images), dict(duplicates.copies), new.flag + flag))
+    well = (["a", "b", "c", "d"], {}, "")
+    found = (["a", "b", "c", "d"], {"b": "a"}, "")
+    out = (["a", "c", "d"], {"b": "a"}, "")
+    assert seen == [well] * 3 + [found] + [out] * 3 + [well] * 3
+
+
+def test_both_are_left_out_until_a_pose_tells_which_is_wrong():
+    duplicates = DuplicateImages()
+    first = duplicates.without_duplicates(scenes(0, {"a": 1, "b": 1, "c": 2, "d": 3}))
+    assert sorted(first.frame_set.images) == ["c", "d"]
+    assert "a and b show the same pictures" in duplicates.judge(first.shared, {"c", "d"})
+    second = duplicates.without_duplicates(scenes(1, {"a": 4, "b": 4, "c": 5, "d": 6}))
+    assert sorted(second.frame_set.images) == ["a", "b", "c", "d"]
+    assert duplicates.judge(second.shared, {"a", "c", "d"}) == ""
+    assert duplicates.copies == {"b": "a"}
+
+
+def test_of_two_cameras_nobody_can_say_which_shows_the_others():
+    duplicates = DuplicateImages()
+    new = duplicates.without_duplicates(scenes(0, {"a": 1, "b": 1}))
+    assert sorted(new.frame_set.images) == ["a", "b"]
+    assert "a and b show the same pictures" in duplicates.judge(new.shared, ())
+    assert duplicates.copies == {}
+
+
+@pytest.mark.parametrize("encoded", [True, False])
+def test_cameras_that_look_alike_are_not_taken_for_one(encoded):
+    """Black under their caps, white in the sun, of one scene, or one grey card."""
+    duplicates = DuplicateImages()
+    for index in range(4):
+        for levels in ({"a": 0, "b": 0}, {"a": 255, "b": 255}):
+            assert duplicates.of(frame_set(index, levels, encoded)).shared == ()
+    for index in range(4):
+        room = np.random.default_rng(0).integers(40, 200, (64, 64, 3))
+        images = {}
+        for k, name in enumerate("ab"):
+            noise = np.random.default_rng(10 * index + k).integers(0, 2, room.shape)
+            pixels = (room + noise).astype(np.uint8)
+            data = bytes(pixels) if encoded else None
+            images[name] = Image(name, index, index / 30, lambda p=pixels: p, data)
+        assert duplicates.of(FrameSet(index, index / 30, images)).shared == ()
 
 
 def test_a_flag_stays_with_its_draft():
