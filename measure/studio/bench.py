@@ -11,6 +11,9 @@ from pathlib import Path
 from measure import api
 from measure.errors import ConfigError, MeasureError
 
+BOARD = "charuco_8x5_27"
+"""Offered first: parts of it count, its turns are told apart, and it is found thirty times as fast
+as a chessboard."""
 CALIBRATION = "calibration.toml"  # In the folder: the newest, whichever page made it
 _PATIENCE_S = 3.0  # Longest wait for cameras to be closed
 _CAMERAS = "cameras.txt"  # In the folder: NAME=ADDRESS a line, without those that hold a secret
@@ -20,11 +23,21 @@ class Job:
     """Work in a thread of its own; its result is for people, its problem empty if there is none."""
 
     def __init__(self, title: str, work: Callable[[Job], str]) -> None:
-        self.title, self.stop = title, threading.Event()
-        self.done, self.total = 0, 0
+        self.stop = threading.Event()
+        self.title = title
         self.result = self.problem = ""
         self._thread = threading.Thread(target=self._run, args=(work,), daemon=True)
         self._thread.start()
+
+    @property
+    def title(self) -> str:
+        """What is being done; a new title begins a new part of the work."""
+        return self._title
+
+    @title.setter
+    def title(self, title: str) -> None:
+        self._title, self.done, self.total = title, 0, 0
+        self._begun_s = time.monotonic()
 
     @property
     def runs(self) -> bool:
@@ -39,10 +52,31 @@ class Job:
         """Hear how far it is."""
         self.done, self.total = done, total or 0
 
+    def lasts(self, seconds: float | None) -> None:
+        """Hear that this part takes so long, and how far it is by the clock."""
+        if seconds:
+            self.progress(
+                min(round(1e3 * self.lasted_s), round(1e3 * seconds)), round(1e3 * seconds)
+            )
+
+    @property
+    def lasted_s(self) -> float:
+        """How long this part of the work goes on already."""
+        return time.monotonic() - self._begun_s
+
+    @property
+    def share(self) -> float | None:
+        """How much of this part is done, 0 to 1; None if nobody knows."""
+        return self.done / self.total if self.total else None
+
     def told(self) -> str:
-        """What is being done and how far it is, or how it ended."""
-        share = f" {self.done} of {self.total}" if self.total else ""
-        return f"{self.title} ...{share}" if self.runs else self.problem or self.result
+        """What is being done and how long it takes yet, or how it ended."""
+        if not self.runs:
+            return self.problem or self.result
+        if not self.share:
+            return f"{self.title} ... {self.lasted_s:.0f} s"
+        left_s = self.lasted_s * (1 / self.share - 1)
+        return f"{self.title}: {self.share:.0%}, about {max(left_s, 1):.0f} s left"
 
     def _run(self, work: Callable[[Job], str]) -> None:
         try:
@@ -63,6 +97,7 @@ class Bench:
         cameras: in the order in which they were given.
         preview: their newest pictures.
         job: what is or was being done last; None at first.
+        board: file in the folder, or shipped target, that is waved and that the world begins at.
         body: the body whose balls are looked for in the previews.
         viewer: address of the Rerun viewer, while it is there.
     """
@@ -74,12 +109,14 @@ class Bench:
         self.given, self.cameras = request, list[api.CameraAddress]()
         self.preview = api.Preview()
         self.job: Job | None = None
+        self.board = BOARD
         self.body: Path | None = None
         self.viewer = ""
         self._watched: dict[api.CameraAddress, api.WatchedCamera] = {}
         self._balls: api.BallWatch | None = None
         self._counts: Mapping[str, api.CameraCount] | None = None
         self._turn = threading.Lock()
+        self.world_known = 0, False  # When the calibration was written, and whether it has a world
 
     @property
     def busy(self) -> bool:
@@ -97,6 +134,25 @@ class Bench:
         """Why a camera delivers nothing now; empty if it does."""
         return self.now[name].problem if name in self.now else "not read"
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the cameras, in their order."""
+        return [one.name for one in self.cameras]
+
+    def target(self) -> Path:
+        """The file of the board."""
+        return api.shipped_targets().get(self.board) or api.inside(self.folder, self.board)
+
+    def cameras_told(self) -> str:
+        """How the cameras are, in a line."""
+        if not self.cameras:
+            return "no camera yet"
+        problems = [text for one in self.cameras if (text := self.problem(one.name))]
+        if problems:
+            return "; ".join(problems)
+        count = len(self.cameras)
+        return f"{count} cameras deliver" if count > 1 else "one camera delivers"
+
     def load_cameras(self, words: tuple[str, ...] = ()) -> None:
         """Take the cameras that were given, or those of the last time."""
         file = self.folder / _CAMERAS
@@ -107,6 +163,7 @@ class Bench:
     def set_cameras(self, cameras: list[api.CameraAddress]) -> None:
         """Watch these from now on; MeasureError if that cannot be now, or of a file elsewhere."""
         self.refuse_if_busy()
+        self.job = self.job if self.job and not self.job.problem else None
         for one in cameras:
             if not (one.is_device or "://" in one.address):
                 api.inside(self.folder, one.address)
@@ -198,9 +255,14 @@ class Bench:
         bodies: Sequence[Path] = (),
     ) -> api.RecordedSession:
         """Record into a session, as part of a job."""
+
+        def hear(counts: Mapping[str, api.CameraCount]) -> None:
+            self.note_counts(counts)
+            job.lasts(seconds)
+
         look, stop = self.preview.add, job.stop
         options = api.CaptureOptions(self.request, seconds=seconds, on_image=look, stop=stop)
-        cameras, hear = self.addresses(), self.note_counts
+        cameras = self.addresses()
         return api.record(
             cameras, session, options, calibration=calibration, bodies=bodies, on_state=hear
         )

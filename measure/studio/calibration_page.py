@@ -10,10 +10,9 @@ from nicegui import ui
 
 from measure import api
 from measure.errors import ConfigError
-from measure.studio.bench import CALIBRATION, Bench, Job
+from measure.studio.bench import Bench, Job
 from measure.studio.layout import act, camera_card, choice, chosen, link, page, told
 
-_REST_S, _REST_POSES = 2.0, 10  # How long, and how often, a body at rest is measured at least
 _ADVISED = 4  # Pieces of advice that are shown at a time
 
 
@@ -22,7 +21,6 @@ class _Wave:
     """What is asked for, and what was taken and calibrated last; it outlives the browser's page."""
 
     bench: Bench
-    board: str = "charuco_8x5_27"
     goal_mm: float = 0.2
     capture: Path | None = None
     state: api.WaveState | None = None
@@ -30,14 +28,10 @@ class _Wave:
     report: Path | None = None
     printed: Path | None = None
 
-    def target(self) -> Path:
-        """The file of the board."""
-        return api.shipped_targets().get(self.board) or api.inside(self.bench.folder, self.board)
-
     def draw(self) -> None:
         """Draw the board, to be printed."""
-        out = self.bench.folder / f"{self.target().stem}.pdf"
-        self.printed = api.draw_target(self.target(), out, overwrite=True)[1]
+        out = self.bench.folder / f"{self.bench.target().stem}.pdf"
+        self.printed = api.draw_target(self.bench.target(), out, overwrite=True)[1]
 
     def take(self, body: Path | None) -> None:
         """Take pictures of the board until they are enough."""
@@ -48,7 +42,7 @@ class _Wave:
             self.capture, self.state, self.result = out, None, None
             last = api.capture_board(
                 cameras,
-                self.target(),
+                self.bench.target(),
                 out,
                 api.CaptureOptions(bench.request, on_image=bench.preview.add, stop=job.stop),
                 body=body,
@@ -68,40 +62,6 @@ class _Wave:
 
     def _hear(self, result: api.CalibrationResult, report: Path) -> None:
         self.result, self.report = result, report
-
-    def world(self) -> None:
-        """Put the world where the board lies now."""
-        folder, names = self.bench.folder, [one.name for one in self.bench.cameras]
-        out, still = folder / CALIBRATION, folder / api.next_free(folder, "world")
-
-        def work(_: Job) -> str:
-            self.bench.preview.write(names, still)
-            api.write_calibration(out, api.world_by_board(out, self.target(), still)[0])
-            return f"{CALIBRATION}: the world is the board's frame"
-
-        self.bench.begin("moving the world", work)
-
-    def world_by_body(self, body: Path | None) -> None:
-        """Put the world where a body rests now: it is measured for some seconds."""
-        if body is None:
-            raise ConfigError("choose the body that lies at rest")
-        bench, out = self.bench, self.bench.folder / CALIBRATION
-        cameras, run = bench.addresses(), bench.folder / api.next_free(bench.folder, "world")
-        times_s: list[float] = []
-
-        def work(job: Job) -> str:
-            def hear(state: api.LiveState) -> None:
-                times_s.append(state.latest[0].time_s)
-                if len(times_s) >= _REST_POSES and times_s[-1] - times_s[0] > _REST_S:
-                    job.stop.set()
-
-            made = api.LiveOptions(stop=job.stop, request=bench.request, on_image=bench.preview.add)
-            profile = api.load_profile()
-            api.live(cameras, run, out, [body], profile, bench.registry, made, hear)
-            api.write_calibration(out, api.world(out, run)[0])
-            return f"{CALIBRATION}: the world is the frame of {body.name}, as it lay"
-
-        bench.begin("measuring the body at rest", work, needs_cameras=True)
 
     def advice(self) -> str:
         """What to do next, in a few lines."""
@@ -140,7 +100,7 @@ def _steps(bench: Bench, wave: _Wave) -> None:
     own = [str(file.relative_to(bench.folder)) for file in there.boards]
     with ui.row().classes("line"):
         board = ui.select([*own, *api.shipped_targets()], label="Board").classes("field")
-        board.bind_value(wave, "board")
+        board.bind_value(bench, "board")
         act("Draw it", "print", wave.draw)
         link("PDF, to print at 100 %", bench, lambda: wave.printed)
         body = choice("Body to be measured", bench, there.bodies)
@@ -153,8 +113,6 @@ def _steps(bench: Bench, wave: _Wave) -> None:
     with ui.row().classes("line"):
         act("Wave the board", "waving_hand", with_body(wave.take))
         act("Calibrate", "tune", with_body(wave.calibrate))
-        act("World: the board as it lies", "my_location", wave.world)
-        act("World: the body at rest", "my_location", with_body(wave.world_by_body))
 
 
 def _progress(wave: _Wave) -> None:

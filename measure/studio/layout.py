@@ -5,57 +5,121 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from nicegui import run, ui
 
 from measure import api
 from measure.errors import MeasureError
 from measure.studio.bench import Bench
+from measure.studio.steps import STEPS, step_of
+from measure.studio.words import plain
 
 _T = TypeVar("_T")
-PAGES = (
-    ("/", "Cameras"),
-    ("/calibration", "Calibration"),
-    ("/marks", "Marks"),
-    ("/body", "Body"),
-    ("/measure", "Measure"),
-)
+Drawn = Callable[[], str]
+"""Gives what is drawn into a picture: SVG in the picture's px, empty for nothing."""
+WIDTH_PX = 720
+"""Of pictures as they are sent: two stand beside each other in a window of 1440 px."""
 _HEAD = """<link rel="stylesheet" href="/studio/studio.css">
 <script defer src="/studio/studio.js"></script>"""
 
 
 @contextmanager
 def page(bench: Bench, path: str) -> Iterator[None]:
-    """The frame round a page, with what is being done at the moment at its foot."""
+    """The frame round a page: the steps at its head, what is being done at its foot."""
+    here = step_of(path)
     ui.add_head_html(_HEAD)
+    ui.page_title(f"{STEPS[here].name if path == STEPS[here].path else 'Marks'} · triball studio")
     ui.colors(primary="#1f5f99")
-    with ui.header().classes("head"), ui.row().classes("way"):
-        for target, name in PAGES:
-            link = ui.link(name, target).classes("here" if target == path else "")
-            link.props(f'aria-current="{"page" if target == path else "false"}"')
+    with ui.header().classes("head"):
+        ui.label("triball").classes("product")
+        with ui.element("nav").classes("way").props('aria-label="steps"'):
+            links = [_step_link(number, here) for number in range(len(STEPS))]
     with ui.column().classes("page"):
         yield
     with ui.footer().classes("foot"):
         _job_line(bench)
+        onward = _next_link(here)
+
+    def tick() -> None:
+        done = [step.is_done(bench) for step in STEPS]
+        for link, is_done in zip(links, done, strict=True):
+            put(link, "done", is_done)
+        if onward is not None:
+            put(onward, "primary", done[here])
+
+    ui.timer(1.0, tick)
+
+
+def _step_link(number: int, here: int) -> ui.link:
+    """A step in the head: its number, or a tick once it is done, and its name."""
+    step = STEPS[number]
+    with ui.link(target=step.path) as link:
+        ui.element("span").classes("number").props(f'data-number="{number + 1}" aria-hidden="true"')
+        ui.label(step.name).classes("name")
+    link.classes("here" if number == here else "")
+    link.props(f'aria-label="{number + 1}. {step.name}" data-step="{step.name}"')
+    return link.props(f'aria-current="{"page" if number == here else "false"}"')
+
+
+def _next_link(here: int) -> ui.link | None:
+    """The way on to the next step; it stands out once this one is done."""
+    if here + 1 == len(STEPS):
+        return None
+    after = STEPS[here + 1]
+    return ui.link(f"Next: {after.name}", after.path).classes("act next").props("data-next")
 
 
 def _job_line(bench: Bench) -> None:
-    """What goes on, how far it is, and how it ended."""
-    text = told(lambda: bench.job.told() if bench.job else str(bench.folder), "job")
-    stop = ui.button("Stop", on_click=bench.stop).props("dense")
+    """What goes on, how far it is, and how it ended; else how the cameras are."""
+    known = bench.job  # What ended before this page was opened is over: its error, too
+    with ui.element("div").classes("job").props('role="status"'):
+        text = ui.label().classes("lines")
+        bar = ui.linear_progress(0.0, show_value=False).props('rounded aria-label="progress"')
+    stop = ui.button("Stop", on_click=bench.stop, color=None).classes("act stop")
+    stop.props("flat no-caps")
 
     def show() -> None:
+        job = bench.job
+        is_over = job is not None and not job.runs and job.problem and (job is known)
+        told = job.told() if job is not None and not is_over else ""
+        text.set_text(plain(told, bench.folder) or bench.cameras_told())
+        put(text, "wrong", bool(job is not None and job.problem and not is_over))
+        share = job.share if job is not None and job.runs else None
+        bar.set_visibility(share is not None)
+        bar.value = share or 0.0
         stop.set_visibility(bench.busy)
-        put(text, "wrong", bool(bench.job and bench.job.problem))
 
     ui.timer(0.3, show)
 
 
+def intro(sentence: str, drawing: str = "") -> None:
+    """What is to be done on a page, in one sentence, and a drawing where hands are needed."""
+    with ui.row().classes("intro"):
+        ui.label(sentence).classes("sentence")
+        if drawing:
+            ui.html(drawing, sanitize=False).classes("by-hand")
+
+
+def empty(text: str) -> ui.label:
+    """What will stand in a place that is still empty."""
+    return ui.label(text).classes("empty")
+
+
+def details(title: str) -> ui.expansion:
+    """A part that is folded away till it is asked for; use it as a context manager."""
+    return ui.expansion(title).classes("details").props("dense")
+
+
 def told(text: Callable[[], str], kind: str = "lines", mark: str = "") -> ui.label:
-    """A label that says what is so at the moment."""
+    """A label that says what is so at the moment; it takes no room while it says nothing."""
     label = ui.label().classes(kind).props(mark)
-    ui.timer(0.4, lambda: label.set_text(text()))
+
+    def show() -> None:
+        label.set_text(said := text())
+        label.set_visibility(bool(said))
+
+    ui.timer(0.4, show)
     return label
 
 
@@ -66,19 +130,26 @@ async def tried(work: Callable[[], _T]) -> _T | None:
     except MeasureError as problem:
         text = str(problem)
     except OSError as problem:
-        text = f"{problem.filename or ''}: {problem.strerror}"
-    ui.notify(text, type="negative", multi_line=True, timeout=10_000)
+        text = f"{Path(problem.filename or '').name}: {problem.strerror}"
+    tell(plain(text), "negative")
     return None
 
 
-def act(text: str, icon: str, work: Callable[[], str | None]) -> ui.button:
-    """A button that does something, and tells what came of it."""
+def tell(text: str, kind: Literal["positive", "warning", "negative", "info"] = "info") -> None:
+    """A note for some seconds, at the top: the foot stays to be read."""
+    ui.notify(text, type=kind, position="top", multi_line=True, timeout=8_000)
+
+
+def act(text: str, icon: str, work: Callable[[], str | None], primary: bool = False) -> ui.button:
+    """A button that does something, and tells what came of it; one of a page is its primary."""
 
     async def pressed() -> None:
         if said := await tried(work):
-            ui.notify(said, type="positive")
+            tell(said, "positive")
 
-    return ui.button(text, icon=icon, on_click=pressed)
+    button = ui.button(text, icon=icon, on_click=pressed, color=None).props("flat no-caps")
+    button.props(f'aria-label="{text}"')
+    return button.classes("act primary" if primary else "act")
 
 
 def typed(label: str, example: str) -> ui.input:
@@ -116,16 +187,36 @@ def link(text: str, bench: Bench, file: Callable[[], Path | None]) -> None:
     ui.timer(0.5, show)
 
 
-def picture(camera: str, width_px: int) -> None:
+def pictures() -> ui.element:
+    """Where pictures of cameras stand: two by two, one below the other in a narrow window."""
+    return ui.element("div").classes("pictures")
+
+
+def picture(camera: str, width_px: int = WIDTH_PX, drawn: Drawn | None = None) -> None:
     """The newest picture of a camera, which the browser fetches again a few times a second."""
     address = f"/picture/{camera}?width={width_px}"
-    ui.element("img").classes("live").props(f'data-live="{address}" alt="{camera}"')
+    with ui.element("div").classes("shot"):
+        ui.element("img").classes("live").props(f'data-live="{address}" alt="{camera}"')
+        if drawn is not None:
+            over = ui.html("", sanitize=False).classes("over")
+            ui.timer(0.4, lambda: over.set_content(drawn()))
 
 
-def camera_card(bench: Bench, name: str, width_px: int, line: Callable[[], str]) -> ui.element:
-    """The picture of a camera with lines below it; red while it is away."""
+def camera_card(
+    bench: Bench,
+    name: str,
+    width_px: int = WIDTH_PX,
+    line: Callable[[], str] = str,
+    drawn: Drawn | None = None,
+) -> ui.element:
+    """The picture of a camera with lines below it; red while it is away.
+
+    Args:
+        line: what the lines say.
+        drawn: what lies over the picture, as SVG (see `measure.studio.overlays`).
+    """
     with ui.card() as card:
-        picture(name, width_px)
+        picture(name, width_px, drawn)
         told(line)
         # While a board is watched nobody counts pictures, and no camera is called away.
         ui.timer(0.5, lambda: put(card, "away", name in bench.now and bool(bench.problem(name))))

@@ -22,7 +22,14 @@ from starlette.responses import FileResponse, PlainTextResponse, Response
 
 from measure import api
 from measure.errors import ConfigError, MeasureError
-from measure.studio import body_page, calibration_page, cameras_page, marks_page, measure_page
+from measure.studio import (
+    body_page,
+    calibration_page,
+    cameras_page,
+    marks_page,
+    measure_page,
+    world_page,
+)
 from measure.studio.bench import Bench
 from measure.studio.door import Door
 
@@ -112,11 +119,12 @@ def _application(bench: Bench) -> FastAPI:
     add_viewer(application, bench)
     static = resources.files("measure.studio") / "static"
     pages.add_static_files("/studio", str(static))
-    for page in (cameras_page, calibration_page, marks_page, body_page, measure_page):
+    for page in (cameras_page, calibration_page, world_page, marks_page, body_page, measure_page):
         page.add(bench)
     ui.run_with(
         application,
         title="triball studio",
+        language="en-US",
         dark=None,
         reconnect_timeout=_PATIENCE_S,
         show_welcome_message=False,

@@ -1,0 +1,65 @@
+"""What is drawn over pictures, as SVG in their px.
+
+Pixel centres are at integers; SVG counts from the picture's corner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from measure import api
+
+Floats = NDArray[np.float64]
+_AXES = ("x", "y", "z")
+
+
+def over(size_wh: tuple[int, int], *parts: str) -> str:
+    """Parts over a picture of this size; empty without any."""
+    width, height = size_wh
+    inside = "".join(parts)
+    return f'<svg viewBox="0 0 {width} {height}" aria-hidden="true">{inside}</svg>' * bool(inside)
+
+
+def corners(pixels: Floats, kind: str = "corner") -> str:
+    """Corners (n, 2) that were found, each a small cross."""
+    at = "".join(f"M{u:.1f} {v:.1f}m-5 0h10m-5 -5v10" for u, v in pixels + 0.5)
+    return f'<path class="{kind}" d="{at}"/>' * bool(at)
+
+
+def cells(size_wh: tuple[int, int], counts: Floats) -> str:
+    """Parts of the picture (rows, columns): those with enough corners green, the empty framed."""
+    rows, columns = counts.shape
+    width, height = size_wh[0] / columns, size_wh[1] / rows
+    return "".join(
+        f'<rect class="cell {"covered" if counts[row, column] else "empty-cell"}" '
+        f'x="{width * column:.1f}" y="{height * row:.1f}" '
+        f'width="{width:.1f}" height="{height:.1f}"/>'
+        for row in range(rows)
+        for column in range(columns)
+    )
+
+
+def outlines(views: Iterable[Floats]) -> str:
+    """Outlines (n, 2) of the views that are kept: where they overlap it is covered best."""
+    return "".join(
+        f'<polygon class="kept" points="{" ".join(f"{u:.0f},{v:.0f}" for u, v in view + 0.5)}"/>'
+        for view in views
+    )
+
+
+def axes(camera: api.Camera, world_from_frame: api.RigidTransform, length_mm: float) -> str:
+    """The axes of a frame as a camera sees them; empty where its origin is not in the picture."""
+    tips = np.vstack([np.zeros(3), length_mm * np.eye(3)])
+    points = world_from_frame.apply(tips)
+    ahead = camera.world_from_camera.inverse().apply(points)[:, 2]
+    if np.min(ahead) <= 0 or not camera.intrinsics.contains(camera.project(points[:1]))[0]:
+        return ""
+    (u0, v0), *ends = camera.project(points) + 0.5
+    return "".join(
+        f'<path class="axis {name}" d="M{u0:.1f} {v0:.1f}L{u:.1f} {v:.1f}"/>'
+        f'<text class="axis {name}" x="{u + 6:.1f}" y="{v:.1f}">{name}</text>'
+        for name, (u, v) in zip(_AXES, ends, strict=True)
+    )
