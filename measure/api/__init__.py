@@ -55,6 +55,7 @@ from measure.api.pairing import (
     simulate_recording,
 )
 from measure.api.playing import PlayEnd, PlayOptions, play
+from measure.api.playing_cameras import CAMERA_PORT, camera_line, play_cameras
 from measure.api.previewing import (
     BallWatch,
     CameraNow,
@@ -97,23 +98,24 @@ from measure.results.evaluation import evaluation_tables
 from measure.session import read_body, read_calibration, write_body, write_calibration
 
 __all__ = [
-    "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Accepted", "BallWatch", "CalibrationResult", "Camera",
-    "CameraAddress", "CameraCount", "CameraNow", "CaptureOptions", "CaptureRequest", "Control",
-    "Demo", "DeviceControls", "FoundBody", "FoundCamera", "Lens", "LiveEnd", "LiveOptions",
-    "LiveState", "Mark", "MarkKind", "Marking", "Measurement", "Mode", "Outcome", "PictureFacts",
-    "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry",
-    "RenderOptions", "RestsSoFar", "RigidTransform", "RunOptions", "Samples", "SeenPicture",
-    "SessionCheck", "SimulationOptions", "SweepOptions", "SyncedClock", "TipResult",
-    "TrainOptions", "WatchedCamera", "WaveState", "ablate", "accept", "begin_marks", "body_names",
-    "build_pipeline", "calibrate", "calibrate_to", "camera_names", "cameras", "capture_board",
-    "check", "choose", "compare", "contents_of", "correct_simulated_robot", "demo", "detect",
-    "draw", "draw_target", "drawings", "estimate_file", "estimate_online", "evaluate",
-    "evaluation_tables", "events", "export", "find_body", "inside", "live", "load_profile",
-    "make_dataset", "mark_event", "measure_bodies", "measure_session", "model_file", "new_folder",
-    "next_free", "output", "parse_cameras", "parse_click", "parse_controls", "parse_expectation",
-    "parse_images", "parse_settings", "parse_size", "pivot", "play", "profile_names", "read_body",
-    "read_calibration", "record", "refine", "register", "render_demo", "report", "rests", "rezero",
-    "robot_recording", "run", "run_many", "sampled_color", "shipped_model", "shipped_targets",
-    "simulate_dataset", "simulate_recording", "sweep", "sync", "train", "usb_notes", "web_viewer",
-    "world", "world_by_board", "write_body", "write_calibration", "write_sampled_body",
+    "CAMERA_PORT", "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Accepted", "BallWatch",
+    "CalibrationResult", "Camera", "CameraAddress", "CameraCount", "CameraNow", "CaptureOptions",
+    "CaptureRequest", "Control", "Demo", "DeviceControls", "FoundBody", "FoundCamera", "Lens",
+    "LiveEnd", "LiveOptions", "LiveState", "Mark", "MarkKind", "Marking", "Measurement", "Mode",
+    "Outcome", "PictureFacts", "PlayEnd", "PlayOptions", "Preview", "RecordedSession",
+    "RefineResult", "Registry", "RenderOptions", "RestsSoFar", "RigidTransform", "RunOptions",
+    "Samples", "SeenPicture", "SessionCheck", "SimulationOptions", "SweepOptions", "SyncedClock",
+    "TipResult", "TrainOptions", "WatchedCamera", "WaveState", "ablate", "accept", "begin_marks",
+    "body_names", "build_pipeline", "calibrate", "calibrate_to", "camera_line", "camera_names",
+    "cameras", "capture_board", "check", "choose", "compare", "contents_of",
+    "correct_simulated_robot", "demo", "detect", "draw", "draw_target", "drawings", "estimate_file",
+    "estimate_online", "evaluate", "evaluation_tables", "events", "export", "find_body", "inside",
+    "live", "load_profile", "make_dataset", "mark_event", "measure_bodies", "measure_session",
+    "model_file", "new_folder", "next_free", "output", "parse_cameras", "parse_click",
+    "parse_controls", "parse_expectation", "parse_images", "parse_settings", "parse_size", "pivot",
+    "play", "play_cameras", "profile_names", "read_body", "read_calibration", "record", "refine",
+    "register", "render_demo", "report", "rests", "rezero", "robot_recording", "run", "run_many",
+    "sampled_color", "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording",
+    "sweep", "sync", "train", "usb_notes", "web_viewer", "world", "world_by_board", "write_body",
+    "write_calibration", "write_sampled_body",
 ]  # fmt: skip

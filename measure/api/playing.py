@@ -41,6 +41,13 @@ class PlayOptions(SendOptions):
     wait_s: float = 1.0  # before the first pose, so that receivers find where to connect
     viewer: str | None = None  # address of a running viewer
 
+    def check_pace(self) -> None:
+        """Refuse (ConfigError) a pace that is none."""
+        if not (math.isfinite(self.rate) and self.rate > 0):
+            raise ConfigError(f"--rate {self.rate:g}: expected a number above 0")
+        if not 0 <= self.wait_s < math.inf:
+            raise ConfigError(f"--wait-s {self.wait_s:g}: expected seconds, 0 or more")
+
 
 @dataclass(frozen=True)
 class PlayEnd:
@@ -59,12 +66,12 @@ def play(
     Raises:
         MeasureError: the folder is no run, an address or setting is none, or there is no viewer.
     """
-    if not (math.isfinite(options.rate) and options.rate > 0):
-        raise ConfigError(f"--rate {options.rate:g}: expected a number above 0")
-    if not 0 <= options.wait_s < math.inf:
-        raise ConfigError(f"--wait-s {options.wait_s:g}: expected seconds, 0 or more")
+    options.check_pace()
     if not (options.send or options.viewer):
-        raise ConfigError("where is it to be played to? give --send ADDRESS, --spawn or --connect")
+        raise ConfigError(
+            "where is it to be played to? give --send ADDRESS, --spawn or --connect; --as-cameras "
+            "serves the cameras of a session"
+        )
     LogOptions(viewer=options.viewer).check_viewer()
     reel = Reel(read_runs(folder))
     sending = open_sending(options, registry, reel.run)

@@ -92,7 +92,7 @@ class Recorder:
         stamps = self._stamps.get(image.camera)
         if stamps is None:
             return
-        data = image.encoded or _encoded(image)
+        data = jpeg_of(image)
         picture = self._folder / image.camera / f"{image.frame:06d}.jpg"
         begun = picture.with_suffix(".part")
         try:
@@ -162,7 +162,10 @@ def _camera_table(name: str, controls: Mapping[str, int | str] | None) -> dict[s
     return {"name": name, **files, "controls": controls}
 
 
-def _encoded(image: Image) -> bytes:
+def jpeg_of(image: Image) -> bytes:
+    """A picture as the JPEG that its camera made, or as one of high quality."""
+    if image.encoded is not None:
+        return image.encoded
     done, data = cv2.imencode(".jpg", image.pixels, [*_QUALITY, *_FULL_COLOR])
     if not done:
         raise CaptureError(f"camera '{image.camera}': a picture cannot be written as JPEG")
