@@ -8,10 +8,12 @@ is called with what is done of the pictures, frame sets or cameras, and how many
 from measure.api.accepting import Accepted, accept
 from measure.api.calibrating import (
     CalibrationResult,
+    board_length,
     calibrate,
     calibrate_to,
     draw_target,
     shipped_targets,
+    write_measured_board,
 )
 from measure.api.cameras import cameras
 from measure.api.capturing import capture_board
@@ -80,7 +82,7 @@ from measure.api.results import body_names, compare, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.synchronising import SyncedClock, sync
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
-from measure.calibration import WaveState
+from measure.calibration import Verdict, WaveState
 from measure.capture import (
     CameraAddress,
     CameraCount,
@@ -95,27 +97,28 @@ from measure.host import Registry
 from measure.measuring import Measurement
 from measure.model import Camera
 from measure.results.evaluation import evaluation_tables
-from measure.session import read_body, read_calibration, write_body, write_calibration
+from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
 
 __all__ = [
-    "CAMERA_PORT", "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Accepted", "BallWatch",
+    "CAMERA_PORT", "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Accepted", "BallWatch", "Calibration",
     "CalibrationResult", "Camera", "CameraAddress", "CameraCount", "CameraNow", "CaptureOptions",
     "CaptureRequest", "Control", "Demo", "DeviceControls", "FoundBody", "FoundCamera", "Lens",
     "LiveEnd", "LiveOptions", "LiveState", "Mark", "MarkKind", "Marking", "Measurement", "Mode",
     "Outcome", "PictureFacts", "PlayEnd", "PlayOptions", "Preview", "RecordedSession",
     "RefineResult", "Registry", "RenderOptions", "RestsSoFar", "RigidTransform", "RunOptions",
     "Samples", "SeenPicture", "SessionCheck", "SimulationOptions", "SweepOptions", "SyncedClock",
-    "TipResult", "TrainOptions", "WatchedCamera", "WaveState", "ablate", "accept", "begin_marks",
-    "body_names", "build_pipeline", "calibrate", "calibrate_to", "camera_line", "camera_names",
-    "cameras", "capture_board", "check", "choose", "compare", "contents_of",
-    "correct_simulated_robot", "demo", "detect", "draw", "draw_target", "drawings", "estimate_file",
-    "estimate_online", "evaluate", "evaluation_tables", "events", "export", "find_body", "inside",
-    "live", "load_profile", "make_dataset", "mark_event", "measure_bodies", "measure_session",
-    "model_file", "new_folder", "next_free", "output", "parse_cameras", "parse_click",
-    "parse_controls", "parse_expectation", "parse_images", "parse_settings", "parse_size", "pivot",
-    "play", "play_cameras", "profile_names", "read_body", "read_calibration", "record", "refine",
-    "register", "render_demo", "report", "rests", "rezero", "robot_recording", "run", "run_many",
-    "sampled_color", "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording",
-    "sweep", "sync", "train", "usb_notes", "web_viewer", "world", "world_by_board", "write_body",
-    "write_calibration", "write_sampled_body",
+    "TipResult", "TrainOptions", "Verdict", "WatchedCamera", "WaveState", "ablate", "accept",
+    "begin_marks", "board_length", "body_names", "build_pipeline", "calibrate", "calibrate_to",
+    "camera_line", "camera_names", "cameras", "capture_board", "check", "choose", "compare",
+    "contents_of", "correct_simulated_robot", "demo", "detect", "draw", "draw_target", "drawings",
+    "estimate_file", "estimate_online", "evaluate", "evaluation_tables", "events", "export",
+    "find_body", "inside", "live", "load_profile", "make_dataset", "mark_event", "measure_bodies",
+    "measure_session", "model_file", "new_folder", "next_free", "output", "parse_cameras",
+    "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
+    "parse_size", "pivot", "play", "play_cameras", "profile_names", "read_body", "read_calibration",
+    "record", "refine", "register", "render_demo", "report", "rests", "rezero", "robot_recording",
+    "run", "run_many", "sampled_color", "shipped_model", "shipped_targets", "simulate_dataset",
+    "simulate_recording", "sweep", "sync", "train", "usb_notes", "web_viewer", "world",
+    "world_by_board", "write_body", "write_calibration", "write_measured_board",
+    "write_sampled_body",
 ]  # fmt: skip

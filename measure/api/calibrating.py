@@ -8,6 +8,8 @@ from pathlib import Path
 import measure
 from measure.api.outputs import check_apart, output
 from measure.calibration import (
+    Charuco,
+    Chessboard,
     Method,
     RigCalibration,
     Sheet,
@@ -17,14 +19,18 @@ from measure.calibration import (
     judgement_lines,
     open_capture,
     provenance,
+    read_board,
     target_sheet,
     write_sheet,
 )
+from measure.calibration.targets import read_board_file
 from measure.errors import ConfigError
 from measure.model import paper_body
 from measure.processes import Progress, quiet
-from measure.session import Calibration, check_unit, read_body, write_calibration
+from measure.session import Calibration, check_unit, dump_toml, read_body, write_calibration
 from measure.session.calibrations import Format
+
+_PRINTED_SHARE = 0.15  # A4 for Letter is 6 %; more is another board
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +127,35 @@ def shipped_targets() -> dict[str, Path]:
     installed, checkout = (at / "calibration_targets" for at in (package, package.parent))
     folder = installed if installed.is_dir() else checkout
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def board_length(target: Path | str) -> tuple[int, float]:
+    """Squares along the longer side of a board, and the size of one in mm; 0 for one of tags.
+
+    CalibrationError for a target that is no board.
+    """
+    board = read_board(find_target(Path(target)))
+    if not isinstance(board, Charuco | Chessboard):
+        return 0, 0.0
+    return max(board.inner_corners) + 1, board.square_mm
+
+
+def write_measured_board(target: Path | str, square_mm: float, out: Path) -> None:
+    """Write a board of squares as large as they were measured on paper; its markers grow with them.
+
+    ConfigError for squares that no printer makes of the ones that were drawn.
+    """
+    file = find_target(Path(target))
+    given = read_board_file(file).model_dump()
+    drawn_mm = given["square_mm"]
+    if not abs(square_mm / drawn_mm - 1) <= _PRINTED_SHARE:
+        raise ConfigError(
+            f"{square_mm:.2f} mm a square: {file.stem} has squares of {drawn_mm:g} mm, and no "
+            f"printer is off by {_PRINTED_SHARE:.0%}: measure again, or choose the board that it is"
+        )
+    if "marker_mm" in given:
+        given["marker_mm"] *= square_mm / drawn_mm
+    out.write_text(dump_toml(given | {"square_mm": square_mm}), encoding="utf-8")
 
 
 def find_target(path: Path) -> Path:

@@ -186,10 +186,17 @@ class Marking:
         raise ConfigError(f"{name or 'marker'}: expected its name, and x, y, z in mm: 120, 35.5, 0")
 
     def set(self, camera: str, name: str, at_px: tuple[float, float], kind: MarkKind) -> Mark:
-        """Mark a marker in a picture, where there is none of its kind as it was clicked."""
+        """Mark a marker in a picture; ConfigError where there is none of its kind."""
         if not name.strip():
             raise ConfigError("which marker is it? give its name or number first")
         found = refined_mark(self._pixels(camera), at_px, kind, self._lenses[camera])
+        if found is None and kind != "as clicked":
+            reach_px = _CORNER_HALF_PX if kind == "corner" else _REACH_PX
+            raise ConfigError(
+                f"{camera}: no {kind} within {reach_px:g} px of the click: nothing was marked for "
+                f"{name}; click its middle, or choose "
+                '"as clicked"'
+            )
         mark = self.marks[camera][name] = found or Mark(at_px, refined=False)
         return mark
 

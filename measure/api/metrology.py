@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 
 from measure.api.calibrating import find_target
 from measure.api.folders import named_pictures
-from measure.arrays import Floats
+from measure.arrays import Bytes, Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, UncertainTransform
 from measure.measuring import Measurement
@@ -144,22 +144,27 @@ def world(
 
 
 def world_by_board(
-    calibration: Path | str, board: Path | str, pictures: Path | str
+    calibration: Path | str | Calibration,
+    board: Path | str,
+    pictures: Path | str | Mapping[str, Bytes],
 ) -> tuple[Calibration, UncertainTransform]:
     """A calibration whose world is the frame of a board, its z axis towards the cameras.
 
     Args:
         board: its target file, or the name of one that comes with the program.
         pictures: a folder with a picture of the board by each camera that sees it, named like the
-            camera (cam0.png).
+            camera (cam0.png); or the pictures, BGR by camera.
     """
     from measure.calibration import read_board
     from measure.calibration.common_views import board_frame
 
-    given, folder = read_calibration(calibration), Path(pictures)
-    found = named_pictures(folder, [camera.name for camera in given.cameras])
+    given = calibration if isinstance(calibration, Calibration) else read_calibration(calibration)
+    if isinstance(pictures, Mapping):
+        found, origin = pictures, "pictures"
+    else:
+        found, origin = named_pictures(Path(pictures), given.names), str(Path(pictures))
     place = board_frame(read_board(find_target(Path(board))), given.cameras, found)
-    return _moved(given, place, str(folder)), place
+    return _moved(given, place, origin), place
 
 
 def _refuse_others(given: Calibration, run: Run, folder: Path | str) -> None:

@@ -114,12 +114,16 @@ class Preview:
         except MeasureError:
             return None
 
+    def pixels(self, cameras: Iterable[str]) -> dict[str, Bytes]:
+        """The newest pictures of cameras, BGR (h, w, 3), of those that have one."""
+        newest = {name: self.newest(name) for name in cameras}
+        return {name: image.pixels for name, image in newest.items() if image is not None}
+
     def write(self, cameras: Iterable[str], folder: Path) -> None:
         """Write the newest picture of each camera into a new folder, named like the camera."""
         folder.mkdir()
-        for name in cameras:
-            if (image := self.newest(name)) is not None:
-                cv2.imwrite(str(folder / f"{name}.png"), image.pixels)
+        for name, pixels in self.pixels(cameras).items():
+            cv2.imwrite(str(folder / f"{name}.png"), pixels)
 
     def note_balls(self, camera: str, found: Iterable[Detection]) -> None:
         """Hear where balls are; they are drawn into the camera's pictures for a while."""

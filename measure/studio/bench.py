@@ -6,14 +6,16 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from measure import api
 from measure.errors import ConfigError, MeasureError
 
 BOARD = "charuco_8x5_27"
-"""Offered first: parts of it count, its turns are told apart, and it is found thirty times as fast
-as a chessboard."""
+"""Offered first: parts of it count, its turns are told apart, and it is found fast."""
 CALIBRATION = "calibration.toml"  # In the folder: the newest, whichever page made it
 _PATIENCE_S = 3.0  # Longest wait for cameras to be closed
 _CAMERAS = "cameras.txt"  # In the folder: NAME=ADDRESS a line, without those that hold a secret
@@ -97,7 +99,8 @@ class Bench:
         cameras: in the order in which they were given.
         preview: their newest pictures.
         job: what is or was being done last; None at first.
-        board: file in the folder, or shipped target, that is waved and that the world begins at.
+        board: file in the folder, or shipped target, that is waved and that the world begins at;
+            the newest file at first, for a board was measured then.
         body: the body whose balls are looked for in the previews.
         viewer: address of the Rerun viewer, while it is there.
     """
@@ -109,14 +112,15 @@ class Bench:
         self.given, self.cameras = request, list[api.CameraAddress]()
         self.preview = api.Preview()
         self.job: Job | None = None
-        self.board = BOARD
+        boards = api.contents_of(folder).boards if folder.is_dir() else ()
+        self.board = str(boards[0].relative_to(folder)) if boards else BOARD
         self.body: Path | None = None
         self.viewer = ""
         self._watched: dict[api.CameraAddress, api.WatchedCamera] = {}
         self._balls: api.BallWatch | None = None
         self._counts: Mapping[str, api.CameraCount] | None = None
         self._turn = threading.Lock()
-        self.world_known = 0, False  # When the calibration was written, and whether it has a world
+        self._calibration: tuple[int, api.Calibration] | None = None  # When it was written, too
 
     @property
     def busy(self) -> bool:
@@ -138,6 +142,18 @@ class Bench:
     def names(self) -> list[str]:
         """Names of the cameras, in their order."""
         return [one.name for one in self.cameras]
+
+    @property
+    def calibration(self) -> api.Calibration | None:
+        """The newest calibration that was made here, read once; None without one."""
+        file = self.folder / CALIBRATION
+        try:
+            changed = file.stat().st_mtime_ns
+            if self._calibration is None or self._calibration[0] != changed:
+                self._calibration = changed, api.read_calibration(file)
+        except (OSError, MeasureError):
+            return None
+        return self._calibration[1]
 
     def target(self) -> Path:
         """The file of the board."""
@@ -274,14 +290,22 @@ class Bench:
         body: Path | None = None,
     ) -> None:
         """Calibrate by a capture; `hear` gets what was found, and its report."""
+        work = partial(self.calibrated, capture=capture, hear=hear, body=body)
+        self.begin(f"calibrating by {capture.name}", work)
 
-        def work(job: Job) -> str:
-            out, tell = self.folder / CALIBRATION, job.progress
-            found = api.calibrate_to(out, capture, body=body, progress=tell, overwrite=True)
-            hear(*found)
-            return f"{capture.name} gave {CALIBRATION}; {found[0].lines()[-1]}"
-
-        self.begin(f"calibrating {capture.name}", work)
+    def calibrated(
+        self,
+        job: Job,
+        capture: Path,
+        hear: Callable[[api.CalibrationResult, Path], None],
+        body: Path | None = None,
+    ) -> str:
+        """The same as part of a job."""
+        job.title, out = f"calibrating by {capture.name}", self.folder / CALIBRATION
+        found = api.calibrate_to(out, capture, body=body, progress=job.progress, overwrite=True)
+        hear(*found)
+        error_mm = float(np.sqrt(np.mean(found[0].verdict.position_sd_mm ** 2)))
+        return f"{capture.name} gave {CALIBRATION}: expected error at the body {error_mm:.3f} mm"
 
     def stop(self) -> None:
         """End what goes on, as an interrupt would."""

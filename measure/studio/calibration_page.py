@@ -1,4 +1,4 @@
-"""Calibration: a board is waved until its pictures are enough; then cameras and world from them."""
+"""Calibration: a board is waved until its pictures are enough, and the cameras come from them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,28 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from nicegui import ui
 
 from measure import api
 from measure.errors import ConfigError
+from measure.studio import drawings, overlays
 from measure.studio.bench import Bench, Job
-from measure.studio.layout import act, camera_card, choice, chosen, link, page, told
+from measure.studio.board_choice import choose_board
+from measure.studio.layout import (
+    act,
+    camera_pictures,
+    choice,
+    chosen,
+    details,
+    intro,
+    link,
+    page,
+    put,
+    told,
+)
 
-_ADVISED = 4  # Pieces of advice that are shown at a time
+_ADVISED = 2  # Pieces of advice that are shown at a time: hands follow no more
 
 
 @dataclass
@@ -26,32 +40,41 @@ class _Wave:
     state: api.WaveState | None = None
     result: api.CalibrationResult | None = None
     report: Path | None = None
-    printed: Path | None = None
-
-    def draw(self) -> None:
-        """Draw the board, to be printed."""
-        out = self.bench.folder / f"{self.bench.target().stem}.pdf"
-        self.printed = api.draw_target(self.bench.target(), out, overwrite=True)[1]
+    is_waved: bool = False
+    suffices: bool = False  # whether whoever waves has had enough
 
     def take(self, body: Path | None) -> None:
-        """Take pictures of the board until they are enough."""
+        """Take pictures of the board until they are enough, and calibrate by them."""
         bench = self.bench
         cameras, out = bench.addresses(), bench.folder / api.next_free(bench.folder, "capture")
 
         def work(job: Job) -> str:
             self.capture, self.state, self.result = out, None, None
-            last = api.capture_board(
-                cameras,
-                self.bench.target(),
-                out,
-                api.CaptureOptions(bench.request, on_image=bench.preview.add, stop=job.stop),
-                body=body,
-                goal_mm=self.goal_mm,
-                on_state=lambda state: setattr(self, "state", state),
-            )
-            return f"{out.name}: {last.sentence() if last else 'no picture came'}"
+            self.is_waved, self.suffices = True, False
+            try:
+                last = api.capture_board(
+                    cameras,
+                    bench.target(),
+                    out,
+                    api.CaptureOptions(bench.request, on_image=bench.preview.add, stop=job.stop),
+                    body=body,
+                    goal_mm=self.goal_mm,
+                    on_state=lambda state: setattr(self, "state", state),
+                )
+            finally:
+                self.is_waved = False
+            if last is None or not (last.enough or self.suffices):
+                return (
+                    f"stopped; {_kept(last)}: wave the board again, or calibrate by them under More"
+                )
+            return bench.calibrated(job, out, self._hear, body)
 
         bench.begin("watching the board", work, needs_cameras=True)
+
+    def end(self) -> None:
+        """Take what there is for enough."""
+        self.suffices = True
+        self.bench.stop()
 
     def calibrate(self, body: Path | None) -> None:
         """Calibrate by the newest pictures."""
@@ -63,89 +86,149 @@ class _Wave:
     def _hear(self, result: api.CalibrationResult, report: Path) -> None:
         self.result, self.report = result, report
 
+    @property
+    def is_accurate(self) -> bool:
+        """Whether the goal is reached, though parts of pictures may still be empty."""
+        return self.state is not None and self.state.position_sd_mm <= self.state.goal_mm
+
+    @property
+    def share(self) -> float:
+        """How much of the accuracy that is asked for is there, 0 to 1."""
+        if self.state is None or not self.state.position_sd_mm > 0:
+            return 0.0
+        return min(self.state.goal_mm / self.state.position_sd_mm, 1.0)
+
     def advice(self) -> str:
-        """What to do next, in a few lines."""
-        return "" if self.state is None else "\n".join(self.state.advice[:_ADVISED]) or "enough"
+        """What to do next, in large letters."""
+        if not self.is_waved:
+            return ""
+        if self.state is None:
+            return "show the board to the cameras"
+        advice = "\n".join(self.state.advice[:_ADVISED])
+        return f"Accurate enough; still empty: {advice}" if self.is_accurate and advice else advice
+
+    def reached(self) -> str:
+        """How far it is."""
+        if not self.is_waved or self.state is None:
+            return ""
+        if not self.state.position_sd_mm > 0:
+            return "too few views yet to say how accurate it will be"
+        mm, goal_mm = self.state.position_sd_mm, self.state.goal_mm
+        return f"expected error at the body {mm:.3f} mm; goal {goal_mm:g} mm"
 
     def seen_by(self, name: str) -> str:
-        """What a camera has seen of the board."""
-        if self.state is None or name not in self.state.cameras:
+        """What a camera has seen of the board, in a line."""
+        if self.state is None or not (seen := self.state.cameras.get(name)) or not seen.views:
             return name
-        seen, pairs = self.state.cameras[name], self.state.pairs.items()
-        others = [f"{n} with {' '.join({*pair} - {name})}" for pair, n in pairs if name in pair]
-        return (
-            f"{name}: {seen.views} pictures, {seen.tilts} tilted\n"
-            f"farthest {seen.distances:.1f} times the nearest, sharpness {seen.sharpness:.2f}\n"
-            f"{', '.join(others)}"
-        )
+        return f"{name}: {seen.views} pictures, {seen.tilts} of them tilted"
+
+    def drawn_over(self, name: str) -> str:
+        """Where a camera has seen the board."""
+        facts = self.bench.preview.facts(name)
+        seen = self.state.cameras.get(name) if self.state is not None and self.is_waved else None
+        if seen is None or facts is None:
+            return ""
+        return overlays.over(facts.size_wh, overlays.cells(facts.size_wh, seen.cells))
+
+
+def _kept(last: api.WaveState | None) -> str:
+    count = max((seen.views for seen in last.cameras.values()), default=0) if last else 0
+    return f"{count} pictures were kept" if count else "no picture was kept"
 
 
 def add(bench: Bench) -> None:
     """Add the page."""
     wave = _Wave(bench)
 
-    @ui.page("/calibration", title="Calibration")
+    @ui.page("/calibration")
     def calibration() -> None:
         with page(bench, "/calibration"):
-            _steps(bench, wave)
-            _progress(wave)
-            with ui.element("div").classes("cards"):
-                for one in bench.cameras:
-                    _camera(bench, wave, one.name)
-            _judgement(bench, wave)
+            with ui.column().classes("still") as still:
+                intro(
+                    "Glue the printed board to something flat, and wave it slowly where you will "
+                    "measure: tilted, near and far, two cameras seeing it at a time.",
+                    drawings.waving(),
+                )
+                _judgement(bench, wave)
+                choose_board(bench)
+            _progress(bench, wave, lambda: _one(bench, body))
+            camera_pictures(bench, wave.seen_by, wave.drawn_over).classes("watched")
+            body = _more(bench, wave)
+        # Who waves looks at the pictures, from afar.
+        ui.timer(0.4, lambda: still.set_visibility(not wave.is_waved))
 
 
-def _steps(bench: Bench, wave: _Wave) -> None:
-    there = api.contents_of(bench.folder)
-    own = [str(file.relative_to(bench.folder)) for file in there.boards]
+def _more(bench: Bench, wave: _Wave) -> ui.select:
+    """What is seldom changed; gives the choice of the body that is to be measured."""
+    more = details("More: the accuracy asked for, and pictures that are there already")
+    with more, ui.row().classes("line"):
+        body = choice("Body to be measured", bench, api.contents_of(bench.folder).bodies)
+        goal = ui.number("Error at the body that is small enough, mm", min=0.001, step=0.01)
+        goal.bind_value(wave, "goal_mm").classes("field")
+        by_newest = partial(_calibrate, bench, wave, body)
+        act("Calibrate by the newest pictures", "tune", by_newest)
+    return body
+
+
+def _calibrate(bench: Bench, wave: _Wave, body: ui.select) -> None:
+    wave.calibrate(_one(bench, body))
+
+
+def _one(bench: Bench, body: ui.select) -> Path | None:
+    return next(iter(chosen(bench, body)), None)
+
+
+def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> None:
+    """The button that begins, and what to do next while the board is waved."""
     with ui.row().classes("line"):
-        board = ui.select([*own, *api.shipped_targets()], label="Board").classes("field")
-        board.bind_value(bench, "board")
-        act("Draw it", "print", wave.draw)
-        link("PDF, to print at 100 %", bench, lambda: wave.printed)
-        body = choice("Body to be measured", bench, there.bodies)
-        goal = ui.number("Goal at the body, mm", min=0.001, step=0.01)
-        goal.bind_value(wave, "goal_mm")
-
-    def with_body(work: Callable[[Path | None], None]) -> Callable[[], None]:
-        return lambda: work(next(iter(chosen(bench, body)), None))
-
-    with ui.row().classes("line"):
-        act("Wave the board", "waving_hand", with_body(wave.take))
-        act("Calibrate", "tune", with_body(wave.calibrate))
-
-
-def _progress(wave: _Wave) -> None:
-    told(wave.advice, "figure lines", "data-advice")
-    bar = ui.linear_progress(0.0, show_value=False).props("rounded size=1.2rem")
-    told(
-        lambda: f"{wave.state.sentence()}; goal {wave.state.goal_mm:g} mm" if wave.state else "",
-        "hint",
-    )
+        begin = act("Wave the board", "waving_hand", lambda: wave.take(body()), primary=True)
+        enough = act("Enough for me", "done", wave.end, primary=True)
+    with ui.column().classes("advice") as shown:
+        told(wave.advice, "figure lines", "data-advice")
+        bar = ui.linear_progress(0.0, show_value=False).props("rounded size=0.9rem")
+        bar.props('aria-label="how accurate it is, of what was asked for"')
+        told(wave.reached, "hint")
 
     def show() -> None:
-        state = wave.state
-        known = state is not None and state.position_sd_mm > 0
-        bar.value = min(state.goal_mm / state.position_sd_mm, 1.0) if state and known else 0.0
-        bar.set_visibility(state is not None)
+        begin.set_visibility(not bench.busy)
+        enough.set_visibility(wave.is_waved and wave.is_accurate)
+        shown.set_visibility(wave.is_waved)
+        bar.value = wave.share
 
     ui.timer(0.4, show)
 
 
-def _camera(bench: Bench, wave: _Wave, name: str) -> None:
-    card = camera_card(bench, name, 480, lambda: wave.seen_by(name))
-    with card, ui.element("div").classes("cells").props('title="where the board was seen"'):
-        cells = [ui.element("div") for _ in range(9)]
+def _judgement(bench: Bench, wave: _Wave) -> None:
+    """How good the calibration is, before what was noticed; notes are folded away."""
+    with ui.column().classes("verdict") as shown:
+        headline = ui.label().classes("figure").props("data-judgement")
+        told(lambda: "\n".join(_findings(wave.result, notes=False)), "lines")
+        link("Report of the calibration, with the cameras in 3-D", bench, lambda: wave.report)
+        with details("What was noticed besides") as folded:
+            told(lambda: "\n".join(_findings(wave.result, notes=True)))
 
     def show() -> None:
-        if wave.state is not None and name in wave.state.cameras:
-            corners = wave.state.cameras[name].cells.ravel()
-            for cell, share in zip(cells, corners / max(corners.max(), 1.0), strict=True):
-                cell.style(f"--share: {share:.2f}")
+        shown.set_visibility(wave.result is not None and not wave.is_waved)
+        if wave.result is not None:
+            verdict = wave.result.verdict
+            headline.text = _headline(verdict)
+            put(headline, "wrong", not verdict.trustworthy)
+            put(headline, "good", verdict.trustworthy)
+            folded.text = f"{len(_findings(wave.result, notes=True))} things noticed besides"
 
     ui.timer(0.5, show)
 
 
-def _judgement(bench: Bench, wave: _Wave) -> None:
-    told(lambda: "\n".join(wave.result.lines()) if wave.result else "", mark="data-judgement")
-    link("Report of the calibration, with the cameras in 3-D", bench, lambda: wave.report)
+def _headline(verdict: api.Verdict) -> str:
+    mean, worst = np.sqrt(np.mean(verdict.position_sd_mm**2)), verdict.position_sd_mm.max()
+    good = "The cameras are calibrated" if verdict.trustworthy else "Do not trust this calibration"
+    return f"{good}: expected error at the body {mean:.3f} mm, at worst {worst:.3f} mm"
+
+
+def _findings(result: api.CalibrationResult | None, notes: bool) -> list[str]:
+    """What was noticed: either what is wrong or weak, or all the rest."""
+    if result is None:
+        return []
+    found = result.verdict.findings
+    grave = [str(one) for one in found if one.level.value != "note"]
+    return [line for line in result.lines()[:-1] if line not in grave] if notes else grave

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -140,16 +141,27 @@ def tell(text: str, kind: Literal["positive", "warning", "negative", "info"] = "
     ui.notify(text, type=kind, position="top", multi_line=True, timeout=8_000)
 
 
+class Hint(str):
+    """What came of an action that is no success, and no error either."""
+
+
+def button(
+    text: str, icon: str, on_click: Callable[[], object], primary: bool = False
+) -> ui.button:
+    """A button; one of a page is its primary, which stands out."""
+    made = ui.button(text, icon=icon, on_click=on_click, color=None).props("flat no-caps")
+    made.props(f'aria-label="{text}"')
+    return made.classes("act primary" if primary else "act")
+
+
 def act(text: str, icon: str, work: Callable[[], str | None], primary: bool = False) -> ui.button:
-    """A button that does something, and tells what came of it; one of a page is its primary."""
+    """A button that does something, and tells what came of it."""
 
     async def pressed() -> None:
         if said := await tried(work):
-            tell(said, "positive")
+            tell(said, "warning" if isinstance(said, Hint) else "positive")
 
-    button = ui.button(text, icon=icon, on_click=pressed, color=None).props("flat no-caps")
-    button.props(f'aria-label="{text}"')
-    return button.classes("act primary" if primary else "act")
+    return button(text, icon, pressed, primary)
 
 
 def typed(label: str, example: str) -> ui.input:
@@ -221,6 +233,18 @@ def camera_card(
         # While a board is watched nobody counts pictures, and no camera is called away.
         ui.timer(0.5, lambda: put(card, "away", name in bench.now and bool(bench.problem(name))))
     return card
+
+
+def camera_pictures(
+    bench: Bench, line: Callable[[str], str], drawn: Callable[[str], str]
+) -> ui.element:
+    """The pictures of all cameras, with what a page says of each and draws over it, by its name."""
+    with pictures() as shown:
+        for name in bench.names:
+            camera_card(bench, name, line=partial(line, name), drawn=partial(drawn, name))
+    if not bench.cameras:
+        empty("The cameras' pictures come here: step 1, Cameras, adds them.")
+    return shown
 
 
 def put(element: ui.element, name: str, there: bool) -> None:

@@ -10,9 +10,21 @@ from pathlib import Path
 from nicegui import events, ui
 
 from measure import api
-from measure.errors import ConfigError
+from measure.errors import ConfigError, MeasureError
 from measure.studio.bench import Bench
-from measure.studio.layout import act, choice, chosen, link, page, tried
+from measure.studio.layout import (
+    Hint,
+    act,
+    button,
+    choice,
+    chosen,
+    empty,
+    intro,
+    link,
+    page,
+    told,
+    tried,
+)
 
 _NOW = "the cameras, now"
 _SOURCES = ("capture", "session")  # Files by which a folder holds pictures to mark
@@ -40,7 +52,7 @@ class _Marks:
         if (source / "capture.toml").is_file():
             marking = api.Marking(source, next(iter(calibrations), None))
         elif not calibrations:
-            raise ConfigError("choose a calibration, for its lenses: the page before makes it")
+            raise ConfigError("choose a calibration, for its lenses: step 2, Calibration, makes it")
         else:
             out = folder / api.next_free(folder, "marks")
             if self.source == _NOW:
@@ -76,7 +88,11 @@ class _Marks:
         """Propose what is found in the picture."""
         balls = (api.read_body(bodies[0]), self.bench.registry) if bodies else None
         found = marking.propose(self.camera, self.family, self.kind, balls)
-        return f"{self.camera}: found {', '.join(found) or 'no other marker'}"
+        if found:
+            return f"{self.camera}: found {', '.join(found)}"
+        return Hint(
+            f"{self.camera}: found no other marker; click four whose places are known first"
+        )
 
     def save(self, marking: api.Marking) -> str:
         """Write the marks."""
@@ -84,10 +100,21 @@ class _Marks:
         without = f"; without a place: {', '.join(left)}" if left else ""
         return f"{marking.folder.name}/marks.csv is written{without}"
 
-    def locate(self, marking: api.Marking) -> None:
-        """Locate the cameras by the marks."""
-        marking.save()
+    def locate(self, marking: api.Marking) -> str | None:
+        """Locate the cameras by the marks, as soon as there are enough."""
+        try:
+            marking.save()
+        except MeasureError as too_early:
+            return Hint(f"not yet: {too_early}")
         self.bench.calibrate(marking.folder, lambda _, report: setattr(self, "report", report))
+        return None
+
+    def counted(self, marking: api.Marking) -> str:
+        """How many marks of markers at known places each camera has."""
+        counts = {
+            name: len(mine.keys() & marking.points.keys()) for name, mine in marking.marks.items()
+        }
+        return "Marked: " + ", ".join(f"{name} {count}" for name, count in counts.items())
 
     def rows(self, marking: api.Marking) -> list[dict[str, str]]:
         """Every marker, where it is, and where it is seen."""
@@ -119,16 +146,20 @@ def add(bench: Bench) -> None:
     """Add the page."""
     marks = _Marks(bench)
 
-    @ui.page("/marks", title="Marks")
+    @ui.page("/marks")
     def page_of_marks() -> None:
         with page(bench, "/marks"):
+            intro(
+                "Where markers stand at known places: take a picture of each camera, click four "
+                "markers in each, let the others be found, and locate the cameras by them."
+            )
             _head(bench, marks, view.refresh)
             view()
 
     @ui.refreshable
     def view() -> None:
         if marks.marking is None:
-            ui.label("Choose pictures that show the markers, and press Open.").classes("hint")
+            empty("The picture to click in comes here: choose the markers, and press Open.")
         else:
             _steps(bench, marks, marks.marking)
             _picture(marks, marks.marking)
@@ -151,7 +182,8 @@ def _head(bench: Bench, marks: _Marks, refresh: Callable[[], object]) -> None:
         source.bind_value(marks, "source")
         lenses = choice("Lenses", bench, there.calibrations)
         target = ui.select([*targets], label="Markers of", clearable=True).classes("field")
-        ui.button("Open", icon="photo_camera", on_click=begin)
+        is_open = marks.marking is not None
+        button("Open", "photo_camera", begin, primary=not is_open)
 
 
 def _picture(marks: _Marks, marking: api.Marking) -> None:
@@ -194,5 +226,6 @@ def _steps(bench: Bench, marks: _Marks, marking: api.Marking) -> None:
         act("Find", "search", lambda: marks.find(marking, chosen(bench, body)))
         act("Remove", "delete", lambda: marks.remove(marking))
         act("Write marks", "save", lambda: marks.save(marking))
-        act("Locate the cameras", "tune", lambda: marks.locate(marking))
+        act("Locate the cameras", "tune", lambda: marks.locate(marking), primary=True)
+        told(lambda: marks.counted(marking), "hint")
         link("Report of the calibration", bench, lambda: marks.report)

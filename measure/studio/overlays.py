@@ -20,7 +20,8 @@ def over(size_wh: tuple[int, int], *parts: str) -> str:
     """Parts over a picture of this size; empty without any."""
     width, height = size_wh
     inside = "".join(parts)
-    return f'<svg viewBox="0 0 {width} {height}" aria-hidden="true">{inside}</svg>' * bool(inside)
+    head = f'<svg viewBox="0 0 {width} {height}" aria-hidden="true" font-size="{height / 16:.0f}">'
+    return f"{head}{inside}</svg>" * bool(inside)
 
 
 def corners(pixels: Floats, kind: str = "corner") -> str:

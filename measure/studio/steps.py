@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from measure import api
-from measure.errors import MeasureError
-from measure.studio.bench import CALIBRATION, Bench
+from measure.studio.bench import Bench
 
 
 @dataclass(frozen=True)
@@ -20,25 +18,19 @@ class Step:
 
 
 def _deliver(bench: Bench) -> bool:
-    """Whether there are cameras, and all of them deliver."""
-    return bool(bench.cameras) and not any(bench.problem(one.name) for one in bench.cameras)
+    """Whether there are cameras, and all of them deliver, or did before a job took them."""
+    read = [name for name in bench.names if not (bench.busy and name not in bench.now)]
+    return bool(bench.cameras) and not any(map(bench.problem, read))
 
 
 def _is_calibrated(bench: Bench) -> bool:
-    return (bench.folder / CALIBRATION).is_file()
+    return bench.calibration is not None
 
 
 def _has_world(bench: Bench) -> bool:
     """Whether a board, a body or markers said where the world is, not the first camera alone."""
-    file = bench.folder / CALIBRATION
-    try:
-        changed = file.stat().st_mtime_ns
-        if bench.world_known[0] != changed:
-            notes = api.read_calibration(file).provenance
-            bench.world_known = changed, "world" in notes or notes.get("mark_sd_px") is not None
-    except (OSError, MeasureError):
-        return False
-    return bench.world_known[1]
+    notes = bench.calibration.provenance if bench.calibration is not None else {}
+    return "world" in notes or notes.get("mark_sd_px") is not None
 
 
 def _has_body(bench: Bench) -> bool:

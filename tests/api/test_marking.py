@@ -49,9 +49,16 @@ def test_a_click_beside_a_marker_is_refined_to_its_middle(marking, rng):
         assert mark.refined
         # They are drawn round, but fitted as the ellipses that balls are off the middle.
         assert np.linalg.norm(np.array(mark.center_px) - at) < 0.15
-    nowhere = marking.set("cam0", "m00", (3.0, 4.0), "dot")
-    assert not nowhere.refined
-    assert nowhere.center_px == (3.0, 4.0)
+
+
+@pytest.mark.parametrize("kind", ["dot", "cross", "corner"])
+def test_a_click_far_from_every_marker_marks_nothing_unless_it_is_meant(marking, kind):
+    with pytest.raises(ConfigError, match=f"cam0: no {kind} within .* nothing was marked for m00"):
+        marking.set("cam0", "m00", (3.0, 4.0), kind)
+    assert "m00" not in marking.marks["cam0"]
+    meant = marking.set("cam0", "m00", (3.0, 4.0), "as clicked")
+    assert not meant.refined
+    assert meant.center_px == (3.0, 4.0)
 
 
 def test_four_clicks_propose_the_others_and_the_capture_is_calibrated(marking, tmp_path, rng):
