@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import math
 import shutil
 from collections.abc import Callable, Sequence
@@ -103,7 +104,7 @@ def _begin(out: Path, board: Path, names: Sequence[str]) -> None:
     """Write all but the pictures."""
     out.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(board, out / "board.toml")
-    tables = [{"name": name, "intrinsics": f"{name}/*.jpg"} for name in names]
+    tables = [{"name": name, "intrinsics": f"{glob.escape(name)}/*.jpg"} for name in names]
     about = {"name": out.resolve().name, "board": "board.toml", "common_views": True}
     (out / _MARK).write_text(dump_toml({"capture": about, "cameras": tables}), "utf-8")
     for name in names:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import csv
+import glob
 import time
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+
 from measure.arrays import Bytes
 from measure.errors import CalibrationError, ConfigError, MeasureError, RunError
 from measure.reading import parse_toml, read_text
-from measure.session import matching_files, read_picture
+from measure.session import check_name, matching_files, read_picture
 
 EVENTS = "events.csv"  # In a run's folder: the time of each event and what it was
 
@@ -63,11 +66,26 @@ def named_pictures(folder: Path, cameras: Iterable[str]) -> dict[str, Bytes]:
     """Pictures in a folder that are named like cameras (cam0.png), by camera, BGR (h, w, 3)."""
     names, found = [*cameras], dict[str, Bytes]()
     for name in names:
-        if files := matching_files(folder, f"{name}.*", CalibrationError):
+        if files := pictures_of(folder, name):
             found[name] = read_picture(files[0])
     if not found:
         raise CalibrationError(f"{folder} holds no picture named like a camera: {', '.join(names)}")
     return found
+
+
+def pictures_of(folder: Path, camera: str) -> list[Path]:
+    """Files in a folder that are named like a camera."""
+    return matching_files(folder, f"{glob.escape(camera)}.*", CalibrationError)
+
+
+def write_named(folder: Path, camera: str, pixels: Bytes) -> None:
+    """Write a picture, BGR (h, w, 3), named like its camera; ConfigError if no file can be."""
+    try:
+        check_name(camera)
+    except ValueError as problem:
+        raise ConfigError(f"a camera's name: {problem}") from None
+    _, data = cv2.imencode(".png", pixels)
+    (folder / f"{camera}.png").write_bytes(data.tobytes())
 
 
 def mark_event(run: Path, what: str, time_s: float | None = None) -> None:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from measure.api.detecting import detect
-from measure.api.folders import named_pictures
+from measure.api.folders import inside, named_pictures, pictures_of, write_named
 from measure.api.profiles import load_profile
 from measure.arrays import Bytes, Floats
 from measure.calibration import open_capture, patterns
@@ -27,7 +27,7 @@ from measure.errors import CalibrationError, ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.model import Body, Camera, Intrinsics, paper_body
-from measure.session import dump_toml, matching_files, open_session, read_body, read_calibration
+from measure.session import dump_toml, open_session, read_body, read_calibration
 
 MarkKind = Literal["dot", "cross", "corner", "as clicked"]
 MARK_KINDS: tuple[MarkKind, ...] = get_args(MarkKind)
@@ -121,7 +121,7 @@ def begin_marks(out: Path, source: Path, calibration: Path, markers: Path | None
         pictures = named_pictures(source, [c.name for c in read_calibration(calibration).cameras])
     out.mkdir(parents=True, exist_ok=True)
     for name, pixels in pictures.items():
-        cv2.imwrite(str(out / f"{name}.png"), pixels)
+        write_named(out, name, pixels)
     shutil.copyfile(calibration, out / "lenses.toml")
     about: dict[str, object] = {
         "name": out.resolve().name,
@@ -163,7 +163,7 @@ class Marking:
             self._lenses.setdefault(one.name, one.intrinsics)
         self.folder, self.pictures = opened.path.parent, dict[str, Path]()
         for camera in opened.cameras:
-            own = matching_files(self.folder, f"{camera.name}.*", CalibrationError)
+            own = pictures_of(self.folder, camera.name)
             file = camera.marker_image or camera.board_image or next(iter(own), None)
             if camera.name not in self._lenses or file is None:
                 lacks = "a picture" if file is None else "a calibration that knows its lens"
@@ -258,13 +258,16 @@ class Marking:
         return sorted({name for mine in self.marks.values() for name in mine} - self.points.keys())
 
     def _named(self, key: Literal["marks", "markers"]) -> Path:
-        """The file of that name; the capture is told of it, if it does not know one."""
+        """The file of that name; the capture is told of it, if it does not know one.
+
+        ConfigError: the capture, which a stranger may have written, names one outside its folder.
+        """
         known: str | None = getattr(self._opened.settings, key)
         if known is None:
             file = self.folder / _CAPTURE
             head, table, rest = file.read_text("utf-8").partition("[capture]")
             file.write_text(f'{head}{table}\n{key} = "{key}.csv"{rest}', "utf-8")
-        return self.folder / (known or f"{key}.csv")
+        return inside(self.folder, known or f"{key}.csv")
 
 
 def _write_table(file: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

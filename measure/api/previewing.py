@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from measure.api.detecting import Lens, LensOf
+from measure.api.folders import write_named
 from measure.api.profiles import build_detectors, load_profile
 from measure.api.recording import CaptureRequest
 from measure.arrays import Bytes
@@ -123,7 +124,7 @@ class Preview:
         """Write the newest picture of each camera into a new folder, named like the camera."""
         folder.mkdir()
         for name, pixels in self.pixels(cameras).items():
-            cv2.imwrite(str(folder / f"{name}.png"), pixels)
+            write_named(folder, name, pixels)
 
     def note_balls(self, camera: str, found: Iterable[Detection]) -> None:
         """Hear where balls are; they are drawn into the camera's pictures for a while."""

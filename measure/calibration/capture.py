@@ -46,7 +46,7 @@ class CaptureTable(session.FileModel):
 class CaptureCamera(session.FileModel):
     """`[[cameras]]`: what one camera contributes; files are relative to the folder."""
 
-    name: session.Name
+    name: session.SafeName
     intrinsics: session.Name | None = None
     model: Projection | None = None
     calibration: session.Name | None = None

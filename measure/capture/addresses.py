@@ -12,6 +12,7 @@ from measure.capture.sources import Source
 from measure.capture.video_sources import FileSource, device_source, rtsp_source
 from measure.capture.web_address import shown
 from measure.errors import CaptureError, ConfigError
+from measure.session import check_name
 
 _SCHEMES = ("http", "https", "rtsp", "rtsps")
 
@@ -90,7 +91,8 @@ def parse_cameras(words: Iterable[str], names: Sequence[str] = ()) -> list[Camer
             without.
 
     Raises:
-        ConfigError: a name is given twice or left empty, or some cameras have names and some not.
+        ConfigError: a name is given twice, left empty or no name (`check_name`), or some cameras
+            have names and some not.
     """
     pairs = [_split(word) for word in words]
     named = [name is not None for name, _ in pairs]
@@ -110,6 +112,10 @@ def parse_cameras(words: Iterable[str], names: Sequence[str] = ()) -> list[Camer
             raise ConfigError(f"{one.name}={shown(one.address)}: expected NAME=ADDRESS")
         if sum(other.name == one.name for other in cameras) > 1:
             raise ConfigError(f"two cameras are called '{one.name}'")
+        try:
+            check_name(one.name)
+        except ValueError as problem:
+            raise ConfigError(f"a camera's name: {problem}") from None
     return cameras
 
 

@@ -14,7 +14,7 @@ import cv2
 
 from measure.errors import CaptureError
 from measure.model import Body, Camera, Image
-from measure.session import Calibration, dump_toml, write_body, write_calibration
+from measure.session import Calibration, check_name, dump_toml, write_body, write_calibration
 
 _QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 98)
 _OWN_FILES = ("session.toml", "body.toml", "calibration.toml")
@@ -108,13 +108,12 @@ class Recorder:
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Refuse (CaptureError) cameras whose names lead elsewhere, or are alike but for capitals."""
+    """Refuse (CaptureError) cameras that `check_name` refuses, or alike but for capitals."""
     for name in names:
-        if name in ("", ".", "..") or any(sign in "/\\" or ord(sign) < 32 for sign in name):
-            raise CaptureError(
-                f"camera '{name}': cannot be recorded under this name, for its pictures' folder is "
-                "called so: give it one without slashes"
-            )
+        try:
+            check_name(name)
+        except ValueError as problem:
+            raise CaptureError(f"a camera's name: {problem}") from None
     places = [*_OWN_FILES, *names, *(f"{name}.csv" for name in names)]
     often = Counter(place.casefold() for place in places)
     for name in names:

@@ -10,6 +10,8 @@ from measure.session.files import (
     Length,
     Name,
     Position,
+    SafeName,
+    check_name,
     dump_toml,
     load_toml,
     matching_files,
@@ -30,9 +32,9 @@ from measure.session.trajectory import Trajectory, read_trajectory
 from measure.session.video_file import open_video_stream
 
 __all__ = [
-    "Calibration", "FileModel", "Length", "Name", "Position", "Session", "Stream", "Trajectory",
-    "check_bodies", "check_overlap", "check_unit", "clock_values", "damaged_frames",
-    "decode_picture", "dump_toml", "holds_jpeg", "is_complete_jpeg", "load_toml",
+    "Calibration", "FileModel", "Length", "Name", "Position", "SafeName", "Session", "Stream",
+    "Trajectory", "check_bodies", "check_name", "check_overlap", "check_unit", "clock_values",
+    "damaged_frames", "decode_picture", "dump_toml", "holds_jpeg", "is_complete_jpeg", "load_toml",
     "matching_files", "open_session", "open_streams", "open_video_stream", "pair_nearest",
     "read_bodies", "read_body", "read_calibration", "read_intrinsics", "read_picture",
     "read_trajectory", "seldom_paired", "session_file", "session_lacks",

@@ -17,7 +17,7 @@ from measure.errors import DegenerateGeometryError, SessionError
 from measure.model import Ball, BallColor, Body, ColorRange
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.model.color import NAMED_RANGES
-from measure.session.files import FileModel, Length, Name, Position, dump_toml, load_toml
+from measure.session.files import FileModel, Length, Name, Position, SafeName, dump_toml, load_toml
 from measure.session.pictures import read_picture
 
 Level = Annotated[int, Field(ge=0, le=255)]
@@ -103,7 +103,7 @@ class ColorModel(FileModel):
 class BallModel(FileModel):
     """One `[[balls]]` table."""
 
-    name: Name
+    name: SafeName
     color: str | ColorModel
     center_mm: Position
     radius_mm: Length
@@ -123,7 +123,7 @@ class BallModel(FileModel):
 class BodyModel(FileModel):
     """A body file, or the `[body]` table of a session."""
 
-    name: str = "body"
+    name: SafeName = "body"
     tolerance_mm: Tolerance = 0.0
     radius_tolerance_mm: Tolerance = USUAL_RADIUS_TOLERANCE_MM
     balls: list[BallModel]

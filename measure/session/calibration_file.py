@@ -22,7 +22,7 @@ from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, Projection
 from measure.model.camera import check_coefficients
-from measure.session.files import FileModel, Name, dump_toml, load_toml
+from measure.session.files import FileModel, SafeName, dump_toml, load_toml
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Row = list[FiniteFloat]
@@ -75,7 +75,7 @@ Magnification = Annotated[FiniteFloat, Field(ge=-0.01, le=0.01)]
 class CameraModel(FileModel):
     """One `[[cameras]]` table; the pose is world_from_camera."""
 
-    name: Name
+    name: SafeName
     size_wh: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
     matrix: CameraMatrix
     model: Projection = "pinhole"

@@ -17,7 +17,7 @@ from measure.errors import CalibrationError
 from measure.model import Camera, Intrinsics
 from measure.reading import parse_toml, read_text
 from measure.session import calibration_file
-from measure.session.files import dump_toml
+from measure.session.files import check_name, dump_toml
 from measure.session.interchange_tables import is_foreign_toml, read_tables
 from measure.session.interchange_xml import read_xml
 from measure.session.stated_rig import MM_PER, Sizes, StatedRig, Unit, plain_values
@@ -121,6 +121,10 @@ def check_calibration(calibration: calibration_file.Calibration, source: str) ->
     if not names:
         raise CalibrationError(f"{source}: holds no calibrated camera")
     for name in names:
+        try:
+            check_name(name)
+        except ValueError as problem:
+            raise CalibrationError(f"{source}: a camera's name: {problem}") from None
         if names.count(name) > 1:
             raise CalibrationError(f"{source}: camera '{name}' is there {names.count(name)} times")
     for camera in calibration.cameras:

@@ -27,8 +27,45 @@ def _without_control_characters(text: str) -> str:
     return text
 
 
+_LONGEST_NAME_BYTES = 200
+"""A file system's 255, less what files called after a thing have round its name."""
+_DEVICE = re.compile(
+    r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³]) *(\..*)?", re.IGNORECASE
+)
+"""What Windows takes for a device in every folder, whatever the ending."""
+
+
+def check_name(name: str) -> str:
+    """Refuse (ValueError) a name after which no file may be called, on any system.
+
+    The one rule for names of cameras, bodies and balls: files and folders are called after them, so
+    none may lead elsewhere. Spaces within and all alphabets are harmless.
+    """
+    _without_control_characters(name)
+    shown = _short(name)
+    if not name:
+        raise ValueError("a name must not be empty")
+    if any(sign in name for sign in "/\\") or re.match(r"[A-Za-z]:", name):
+        raise ValueError(f"{shown} is a path, not a name: write it without slashes")
+    if name.endswith((".", " ")):
+        raise ValueError(
+            f"{shown} ends with a dot or space: files are called after it, so it must not"
+        )
+    if _DEVICE.fullmatch(name):
+        raise ValueError(f"{shown} is a device's name on Windows: choose another")
+    try:
+        size = len(name.encode())
+    except UnicodeEncodeError:
+        raise ValueError(f"{shown} is no text (a lone surrogate)") from None
+    if size > _LONGEST_NAME_BYTES:
+        raise ValueError(f"{shown} is too long: {size} bytes, {_LONGEST_NAME_BYTES} at most")
+    return name
+
+
 Name = Annotated[str, Field(min_length=1), AfterValidator(_without_control_characters)]
-"""What a thing or a file is called."""
+"""What a file or a column is called."""
+SafeName = Annotated[str, AfterValidator(check_name)]
+"""What a camera, a body or a ball is called."""
 Length = Annotated[FiniteFloat, Field(ge=1e-3, le=1e6)]
 """A size in mm of what can be made and seen: a micrometre to a kilometre."""
 _Coordinate = Annotated[FiniteFloat, Field(ge=-1e6, le=1e6)]

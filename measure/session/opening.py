@@ -19,7 +19,7 @@ from measure.session.body_file import BodyModel, read_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration
 from measure.session.consistency import check_bodies, check_unit
-from measure.session.files import FileModel, Name, load_toml
+from measure.session.files import FileModel, Name, SafeName, load_toml
 from measure.session.session import Session
 from measure.session.stated_rig import Unit
 from measure.session.streams import Stream, open_image_stream
@@ -43,7 +43,7 @@ class SessionTable(FileModel):
 class CameraTable(FileModel):
     """One `[[cameras]]` table."""
 
-    name: Name
+    name: SafeName
     images: Name | None = None
     video: Name | None = None
     timestamps: Name | None = None
