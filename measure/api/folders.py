@@ -30,8 +30,11 @@ class FolderContents:
 
 
 def inside(folder: Path, name: str | Path) -> Path:
-    """A path below a folder, links followed; ConfigError for one that leads out of it."""
-    path, home = (folder / name).resolve(), folder.resolve()
+    """A path below a folder, links followed; ConfigError for one that leads out, or is none."""
+    try:
+        path, home = (folder / name).resolve(), folder.resolve()
+    except (OSError, ValueError, RuntimeError):  # too long, a NUL, links in a circle
+        raise ConfigError(f"{str(name)!r}: no file can be called so") from None
     if home != path and home not in path.parents:
         raise ConfigError(f"{name}: lies outside {folder}: put it into that folder")
     return path

@@ -21,6 +21,13 @@ _OWN = (
 )
 """Content-Security-Policy: a page asks this server, and no other but a viewer on this machine."""
 
+OF_A_FILE = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; "
+    "style-src 'unsafe-inline'; img-src data: blob:"
+)
+"""Of pages that lie in the folder, which strangers may have written: they draw their figures, but
+not as pages of this server (their origin is none), and ask nobody for anything."""
+
 
 class Door:
     """Stands before an application and refuses what must not come in (403).
@@ -53,14 +60,17 @@ class Door:
             await PlainTextResponse(text, 403)(scope, receive, send)
         elif given and scope["type"] == "http":
             # The token leaves the address, so that it is in no history and no screenshot.
-            there = RedirectResponse(scope["path"], 303)
+            # Two slashes at the begin would name another server.
+            there = RedirectResponse("/" + scope["path"].lstrip("/\\"), 303)
             there.set_cookie(_COOKIE, given, httponly=True, samesite="strict")
             await there(scope, receive, send)
         else:
 
             async def answer(message: Message) -> None:
                 if message["type"] == "http.response.start":
-                    MutableHeaders(scope=message)["Content-Security-Policy"] = _OWN
+                    headers = MutableHeaders(scope=message)
+                    headers.setdefault("Content-Security-Policy", _OWN)
+                    headers.setdefault("X-Content-Type-Options", "nosniff")
                 await send(message)
 
             await self._app(scope, receive, answer)

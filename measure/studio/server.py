@@ -31,10 +31,11 @@ from measure.studio import (
     world_page,
 )
 from measure.studio.bench import Bench
-from measure.studio.door import Door
+from measure.studio.door import OF_A_FILE, Door
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
-_SERVED = (".html", ".csv", ".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pdf")
+_PAGES = (".html", ".svg")  # What browsers run scripts of
+_SERVED = (*_PAGES, ".csv", ".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pdf")
 _WIDEST_PX = 4000
 _FOREIGN = re.compile(rb"<link[^>]*https://[^>]*>")  # In a page; browsers connect for its sake
 _PATIENCE_S = 60.0  # How long a page waits for a server that compiles, before it is loaded anew
@@ -106,16 +107,7 @@ def _application(bench: Bench) -> FastAPI:
             return Response(status_code=204)
         return Response(found[0], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
-    @application.get("/file/{name:path}")
-    def file(name: str) -> Response:
-        try:
-            path = api.inside(bench.folder, name)
-        except MeasureError as problem:
-            return PlainTextResponse(str(problem), 403)
-        if path.suffix.lower() not in _SERVED or not path.is_file():
-            return PlainTextResponse(f"{name}: no such file", 404)
-        return FileResponse(path)
-
+    add_files(application, bench.folder)
     add_viewer(application, bench)
     static = resources.files("measure.studio") / "static"
     pages.add_static_files("/studio", str(static))
@@ -130,6 +122,24 @@ def _application(bench: Bench) -> FastAPI:
         show_welcome_message=False,
     )
     return application
+
+
+def add_files(application: FastAPI, folder: Path) -> None:
+    """Pictures, tables and pages that lie in the folder; pages as nobody's own (`OF_A_FILE`)."""
+
+    @application.get("/file/{name:path}")
+    def file(name: str) -> Response:
+        try:
+            path = api.inside(folder, name)
+            is_there = path.suffix.lower() in _SERVED and path.is_file()
+        except (MeasureError, OSError) as problem:  # outside, or no name that a file can have
+            return PlainTextResponse(str(problem), 404)
+        if not is_there:
+            return PlainTextResponse(f"{name}: no such file", 404)
+        is_page = path.suffix.lower() in _PAGES
+        return FileResponse(
+            path, headers={"Content-Security-Policy": OF_A_FILE} if is_page else None
+        )
 
 
 def add_viewer(application: FastAPI, bench: Bench) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -92,7 +93,7 @@ def test_pages_may_ask_their_own_server_alone():
 
     scope = {"type": "http", "headers": [(b"host", HERE.encode())], "query_string": b""}
     asyncio.run(Door(page)(scope, None, send))
-    ((_, policy),) = sent[0]["headers"]
+    policy = dict(sent[0]["headers"])[b"content-security-policy"]
     rules = dict(rule.split(maxsplit=1) for rule in policy.decode().split("; "))
     assert rules["default-src"].startswith("'self'")
     assert not [word for rule in rules.values() for word in rule.split() if "//" in word][1:]
@@ -108,3 +109,24 @@ def test_the_token_becomes_a_cookie_and_leaves_the_address():
     assert {"HttpOnly", "SameSite=strict"} <= set(manners)
     for kind in ("http", "websocket"):
         assert answer("secret", kind, host="10.0.0.7:8080", cookie=cookie) == INSIDE
+
+
+@pytest.mark.parametrize("path", ["//evil.example/", "///evil.example", "/\\evil.example", "//"])
+def test_the_token_leads_to_no_other_server(path):
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {
+        "type": "http",
+        "path": path,
+        "query_string": b"token=secret",
+        "headers": [(b"host", b"10.0.0.7:8080")],
+    }
+    asyncio.run(Door(inner, "secret")(scope, None, send))
+    location = dict(sent[0]["headers"])[b"location"].decode()
+    assert sent[0]["status"] == 303
+    assert urlsplit(location).netloc == ""
+    assert location.startswith("/")
+    assert location[1:2] not in ("/", "\\")

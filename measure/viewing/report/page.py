@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import gzip
+import hashlib
 import html
 import re
 from collections.abc import Iterable, Sequence
@@ -79,15 +80,16 @@ class Page:
 
     def render(self, footer: str) -> str:
         """The whole page; plotly is embedded once, packed, and nothing is fetched."""
-        library = ""
+        library, code = "", [_beside("page.js"), get_plotlyjs()] if self._figures else []
         if self._figures:
             # Without a time stamp, so that equal pages are equal to the byte.
-            packed = base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
+            packed = base64.b64encode(gzip.compress(code[1].encode(), mtime=0)).decode()
             library = f'<script type="text/plain" id="plotly">{packed}</script>'
-        draw = f"<script>{_beside('page.js')}</script>" if self._figures else ""
+        draw = f"<script>{code[0]}</script>" if self._figures else ""
         when = f'<p class="when">{html.escape(self.when)}</p>' if self.when else ""
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+            f'<meta http-equiv="Content-Security-Policy" content="{_policy(code)}">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
             f"<title>{html.escape(self.title)}</title><style>{_beside('page.css')}</style>"
             f"{library}</head><body><main><h1>{html.escape(self.title)}</h1>{when}"
@@ -122,6 +124,16 @@ class Page:
             f'<div id="{name}" class="figure" style="height:{height}px"></div>'
             f'<script type="application/json" class="spec" data-for="{name}">{spec}</script>'
         )
+
+
+def _policy(scripts: Iterable[str]) -> str:
+    """What the page may do: run these scripts and no others, and ask nobody for anything."""
+    hashes = (base64.b64encode(hashlib.sha256(code.encode()).digest()) for code in scripts)
+    allowed = " ".join(f"'sha256-{one.decode()}'" for one in hashes) or "'none'"
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; "
+        "img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
 
 
 def _cell(value: object, is_text: bool) -> str:
