@@ -31,7 +31,7 @@ Written by `python docs/regenerate.py`.
 
 Exit codes: 0 done; 2 a mistake, which one line on stderr explains; 3 `check`,
 `calibrate` or `accept` found what must not be believed ("wrong"); 1 a defect of ours, with its
-traceback; 130 interrupted; 141 whoever read the output went away.
+traceback; 130 interrupted; 143 ended by SIGTERM; 141 whoever read the output went away.
 
 `--out`, `--overwrite`: [one rule for all outputs](conventions.md#outputs).
 """

@@ -1,4 +1,4 @@
-"""Worker processes, the progress of long work, clusters to hand it to, optional libraries."""
+"""Worker processes and how they end, progress, clusters to hand work to, optional libraries."""
 
 from __future__ import annotations
 
@@ -6,10 +6,16 @@ import ctypes
 import importlib
 import multiprocessing
 import os
+import signal
+import sys
+import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
+from multiprocessing.connection import wait
 from threading import Thread
+from types import FrameType, TracebackType
 from typing import Any, Protocol
 
 from measure.errors import ConfigError, MeasureError
@@ -29,6 +35,69 @@ def quiet(done: int, total: int | None) -> None:
     """Progress that nobody looks at."""
 
 
+class Terminated(KeyboardInterrupt):
+    """This process was asked to end by another signal than that of Ctrl-C."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.signal = signal.Signals(number)
+
+
+_ENDINGS = {signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
+"""By which batch systems, `timeout`, service managers and closed terminals end a process."""
+_UNWIND_S = 10.0
+"""How long a worker may take to give up what it holds: a few frame sets, or a compilation."""
+
+
+@contextmanager
+def unwound_by_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the block as Ctrl-C does: locks and scratch folders are given up.
+
+    It raises `Terminated`, once: `timeout` sends its signal twice. Whoever ignores one of them
+    (`nohup`), or has a handler of his own, keeps that.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    ours = [number for number in _ENDINGS if signal.getsignal(number) is signal.SIG_DFL]
+
+    def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+        for each in ours:
+            signal.signal(each, signal.SIG_IGN)
+        raise Terminated(number)
+
+    for number in ours:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
+class _Pool(ProcessPoolExecutor):
+    """One whose processes are ended when its block is interrupted, with what they are at."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        if kind is not None and not issubclass(kind, Exception):
+            workers = list((self._processes or {}).values())
+            self.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:
+                worker.terminate()
+            left, until_s = {worker.sentinel for worker in workers}, time.monotonic() + _UNWIND_S
+            while left and (rest_s := until_s - time.monotonic()) > 0:
+                left -= set(wait(list(left), rest_s))
+            for worker in workers:
+                if worker.sentinel in left:
+                    worker.kill()
+        return super().__exit__(kind, error, trace)
+
+
 def processes(count: int | None = None) -> ProcessPoolExecutor:
     """A pool of new processes, as many as there are cores by default.
 
@@ -36,11 +105,21 @@ def processes(count: int | None = None) -> ProcessPoolExecutor:
     and keep their memory.
     """
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(count, context, initializer=_end_with_parent)
+    return _Pool(count, context, initializer=_end_with_parent)
 
 
 def _end_with_parent() -> None:
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C goes to all; the parent says what it means
+    signal.signal(signal.SIGTERM, _unwind)
     Thread(target=_wait_for_parent, name="end with parent", daemon=True).start()
+
+
+def _unwind(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+    """End a worker; what it is at gives up its locks first."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(128 + number)
 
 
 def _wait_for_parent() -> None:

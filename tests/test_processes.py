@@ -7,6 +7,7 @@ import select
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -42,3 +43,44 @@ def test_they_end_when_their_parent_is_killed(tmp_path):
 
 def test_those_of_a_plain_pool_do_not(tmp_path):
     assert not ends_with_parent(tmp_path, "concurrent.futures", "ProcessPoolExecutor", within_s=2)
+
+
+UNWOUND = """
+import os, sys, time
+from pathlib import Path
+from measure.processes import Terminated, processes, unwound_by_signals
+
+
+def hold(folder):
+    try:
+        (folder / "lock").touch()
+        time.sleep(60)
+    finally:
+        (folder / "lock").unlink()
+
+
+if __name__ == "__main__":
+    try:
+        with unwound_by_signals(), processes(1) as pool:
+            print(pool.submit(os.getpid).result(), flush=True)
+            pool.submit(hold, Path(sys.argv[1])).result()
+    except Terminated as end:
+        sys.exit(128 + end.signal)
+"""
+
+
+def test_they_give_up_what_they_hold_when_their_parent_is_terminated(tmp_path):
+    script, lock = tmp_path / "script.py", tmp_path / "lock"
+    script.write_text(UNWOUND)
+    command = [sys.executable, script, tmp_path]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as parent:
+        worker = int(parent.stdout.readline())
+        while not lock.exists():
+            assert parent.poll() is None
+            time.sleep(0.01)
+        parent.terminate()
+        _, said = parent.communicate(timeout=30)
+    assert (parent.returncode, said) == (143, b"")
+    assert not lock.exists()
+    with pytest.raises(ProcessLookupError):
+        os.kill(worker, 0)

@@ -271,7 +271,7 @@ def parse_size(text: str) -> tuple[int, int]:
 def until_stopped(stop: threading.Event | None = None) -> Iterator[threading.Event]:
     """Turn the first interrupt (Ctrl-C) or termination of this process into an event.
 
-    A second one ends the process as usual. Outside the main thread, the only one that receives
+    A second Ctrl-C ends the process as usual. Outside the main thread, the only one that receives
     signals, the event is not set by it.
 
     Args:
@@ -288,8 +288,8 @@ def until_stopped(stop: threading.Event | None = None) -> Iterator[threading.Eve
 
     def on_signal(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
         stop.set()
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        # A second termination means no more than the first: `timeout` sends two.
+        signal.signal(signal.SIGINT, before[signal.SIGINT])
 
     for number in _SIGNALS:
         signal.signal(number, on_signal)

@@ -17,12 +17,13 @@ from typing import Annotated, Any
 from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter, UnknownCommandError
 
 from measure.errors import MeasureError
+from measure.processes import Terminated, unwound_by_signals
 
 GROUPS: dict[str, dict[str, str]] = tomllib.loads(
     Path(__file__).with_name("commands.toml").read_text("utf-8")
 )
 """By group, commands as typed, each with its line in `measure --help`."""
-DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
+DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED, ENDED_BY = 0, 1, 2, 130, 141, 128
 """Exit codes. An exception we did not foresee is a defect: python prints it and exits with 1."""
 
 _MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EMFILE}
@@ -44,7 +45,8 @@ def main(tokens: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _make_streams_safe()
     try:
-        return _explained(sys.argv[1:] if tokens is None else list(tokens))
+        with unwound_by_signals():
+            return _explained(sys.argv[1:] if tokens is None else list(tokens))
     except BrokenPipeError:
         return _pipe_closed()
     except SystemExit as end:
@@ -71,6 +73,9 @@ def _explained(tokens: list[str]) -> int:
             raise
         where = f"{error.filename}: " if error.filename else ""
         return _mistake(f"{where}{error.strerror}")
+    except Terminated as end:
+        print(f"measure: ended by {end.signal.name}", file=sys.stderr)
+        return ENDED_BY + end.signal
     except KeyboardInterrupt:
         print("measure: interrupted", file=sys.stderr)
         return INTERRUPTED

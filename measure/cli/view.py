@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import sys
 from pathlib import Path
 
 from measure.cli import console
@@ -46,9 +44,6 @@ def view(
 
         made = api.robot_recording(run, robot, robot_log, model, frame, clock_offset_s)
         recordings.append(made)
-    # Ended by a service manager or a closed terminal, the viewer must end too.
-    for ending in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-        signal.signal(ending, lambda number, _: sys.exit(128 + number))
     viewer = open_viewer(recordings, web, bind)
     if viewer.address is not None:
         console.print_text(viewer.address)

@@ -8,6 +8,7 @@ import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,37 @@ def test_ctrl_c_is_one_line_and_exit_code_130(monkeypatch, capsys):
     _register(monkeypatch, _raise(KeyboardInterrupt()))
     assert main(["try"]) == 130
     assert capsys.readouterr().err == "measure: interrupted\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_any_command_as_an_interruption_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals
+) -> None:
+    given_up = []
+
+    def work() -> None:
+        try:
+            os.kill(os.getpid(), number)
+        finally:
+            os.kill(os.getpid(), number)  # `timeout` sends two: what is given up is so all the same
+            given_up.append(True)
+
+    _register(monkeypatch, work)
+    assert main(["try"]) == 128 + number
+    assert capsys.readouterr().err == f"measure: ended by {number.name}\n"
+    assert given_up
+    assert signal.getsignal(number) is signal.SIG_DFL
+
+
+def test_a_signal_that_is_ignored_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `nohup` has it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        _register(monkeypatch, lambda: os.kill(os.getpid(), signal.SIGHUP))
+        assert main(["try"]) == 0
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_full_disk_is_a_mistake_that_names_the_file(monkeypatch, capsys):
