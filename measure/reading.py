@@ -42,9 +42,14 @@ def check_ordinary(path: Path, error: type[MeasureError], where: str = "") -> in
     except (OSError, ValueError) as problem:
         raise error(f"{where}{path}: cannot be read: {_reason(problem)}") from None
     if not stat.S_ISREG(there.st_mode):
-        what = _KINDS.get(stat.S_IFMT(there.st_mode), "no file")
+        what = kind_of_file(there.st_mode)
         raise error(f"{where}{path}: is {what}, not an ordinary file: give the file itself")
     return there.st_size
+
+
+def kind_of_file(mode: int) -> str:
+    """What a thing in a folder is, in words, by its mode; for what is no ordinary file."""
+    return _KINDS.get(stat.S_IFMT(mode), "no file")
 
 
 def read_bytes(path: Path, error: type[MeasureError], most: int, where: str = "") -> bytes:

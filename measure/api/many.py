@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 import traceback
-import uuid
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from measure.api.outputs import scratch_folder
 from measure.api.run import RunOptions, run
 from measure.api.warming_up import warm_pipeline
 from measure.errors import ConfigError, MeasureError
@@ -94,15 +93,14 @@ def run_many(
 @contextmanager
 def _scratch(out: Path) -> Iterator[Path]:
     """A folder with a file for each recording that this batch has begun."""
-    folder = out.resolve() / f".begun-{uuid.uuid4().hex[:8]}"
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise ConfigError(f"--out {out}: cannot make a folder there ({error.strerror})") from error
-    try:
+    with ExitStack() as stack:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            folder = stack.enter_context(scratch_folder(out.resolve(), ".begun-"))
+        except OSError as error:
+            why = f"cannot make a folder there ({error.strerror})"
+            raise ConfigError(f"--out {out}: {why}") from error
         yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _measure(job: _Job) -> Outcome:

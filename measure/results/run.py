@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +23,8 @@ from measure.results.stored import read_tables, rows_of_body
 from measure.results.summary import Summary, summarise
 from measure.results.tables import PLACE, RELATIVE_SCHEMA, SCHEMAS, matrices, numbers, texts
 from measure.session import read_bodies, read_body, read_calibration
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +154,10 @@ def one_of(runs: Sequence[Run], folder: Path, body: str | None) -> Run:
 
 
 def read_runs(folder: Path) -> list[Run]:
-    """A run for each body that a folder's run measured; RunError: no run, or a damaged file."""
+    """A run for each body that a folder's run measured; RunError: no run, or a damaged file.
+
+    Of one that is not finished a warning says how far it came.
+    """
     file = folder / "run.toml"
     if not file.exists():
         what = "no such folder" if not folder.exists() else "it has no run.toml"
@@ -162,6 +168,11 @@ def read_runs(folder: Path) -> list[Run]:
     cameras = read_calibration(folder / "calibration.toml").cameras
     tables = read_tables(folder, bodies, cameras)
     finished = not (folder / "poses.arrows").exists()
+    count = tables["poses"].num_rows // len(bodies)
+    if not finished and count:
+        _log.warning(
+            "%s is not finished: this is of the %d frame sets it has so far", folder, count
+        )
     return runs_of(provenance, bodies, folder, cameras, tables, finished)
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +13,7 @@ import pytest
 from measure import api
 from measure.cli import build_app, main
 from measure.cli.app import GROUPS
-from measure.errors import CalibrationError, ConfigError
+from measure.errors import CalibrationError, ConfigError, PluginError
 from measure.session import Calibration
 
 RUN, RECORDING = "run.toml", "session.toml"
@@ -146,3 +150,74 @@ def test_only_a_folder_of_its_kind_is_replaced(tmp_path: Path) -> None:
         _there(out, "new.txt")
     assert [path.name for path in out.iterdir()] == ["new.txt"]
     assert [path.name for path in tmp_path.iterdir()] == ["session"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes that have a name")
+def test_what_is_no_ordinary_file_is_not_replaced(tmp_path: Path) -> None:
+    """As root a device node would become a file."""
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to("/dev/null")
+    for out, what in ((Path("/dev/null"), "a device"), (pipe, "a pipe"), (link, "a link to")):
+        with pytest.raises(ConfigError, match=f"{out}: is {what}"), api.output(out, overwrite=True):
+            pass
+    assert Path("/dev/null").is_char_device()
+    assert pipe.is_fifo()
+
+
+HOLDING = """
+import sys, time
+from pathlib import Path
+from measure import api
+
+with api.output(Path(sys.argv[1])) as file:
+    file.write_text("half")
+    print("there", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_scratch_of_killed_processes_is_removed_and_that_of_living_ones_is_not(
+    tmp_path: Path,
+) -> None:
+    command = [sys.executable, "-c", HOLDING]
+    users = [subprocess.Popen([*command, tmp_path / name], stdout=subprocess.PIPE) for name in "ab"]
+    try:
+        for user in users:
+            assert user.stdout is not None
+            assert user.stdout.readline() == b"there\n"
+        mine = tmp_path / ".new-abcdefgh"  # of a user's own
+        mine.mkdir()
+        assert len(list(tmp_path.glob(".new-*.lock"))) == 2
+        users[0].kill()
+        users[0].wait()
+        assert len(list(tmp_path.glob(".new-*/*"))) == 2
+        with api.output(tmp_path / "c") as file:
+            file.write_text("whole")
+        (left,) = tmp_path.glob(".new-*/*")
+        assert left.name == "b"
+        users[1].kill()
+        users[1].wait()
+        with api.output(tmp_path / "d") as file:
+            file.write_text("whole")
+        assert sorted(path.name for path in tmp_path.iterdir()) == [mine.name, "c", "d"]
+    finally:
+        for user in users:
+            user.kill()
+            user.communicate()
+
+
+def test_a_full_disk_is_named_with_the_file_whoever_met_it(tmp_path: Path) -> None:
+    """A plugin's own words for it tell neither."""
+    out = tmp_path / "model.onnx"
+    for number, why in ((errno.ENOSPC, "is full"), (errno.EFBIG, "it is larger than files may be")):
+        fault = OSError(number, os.strerror(number))
+        for problem in (fault, PluginError("estimator 'offset' fails")):
+            problem.__cause__ = None if problem is fault else fault
+            with (
+                pytest.raises(ConfigError, match=f"model.onnx: cannot be written: .*{why}"),
+                api.output(out),
+            ):
+                raise problem
+    with pytest.raises(OSError, match="elsewhere"), api.output(out):
+        raise OSError(errno.ENOENT, "elsewhere")

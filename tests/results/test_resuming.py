@@ -108,6 +108,18 @@ def test_what_is_left_before_a_run_is_begun_is_no_obstacle(
     assert not {"run.lock", "run.toml.new"} & {path.name for path in folder.iterdir()}
 
 
+def test_whoever_reads_an_unfinished_run_is_told(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    begun(folder, 3)
+    read_run(folder)
+    assert f"{folder} is not finished: this is of the 3 frame sets it has so far" in caplog.text
+    caplog.clear()
+    assert go_on(folder, 4) == 3
+    read_run(folder)
+    assert not caplog.text
+
+
 def test_streams_of_different_length_and_a_damaged_body_are_mended(folder: Path) -> None:
     begun(folder, 6)
     for name, cut in (("detections", 3000), ("balls", 1500), ("poses", 7)):
