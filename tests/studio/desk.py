@@ -41,19 +41,24 @@ def go(page: Chromium, address: str) -> None:
 
 def count(page: Chromium, clicks: int = 1, typed: int = 0) -> None:
     """Count what a person would have done on this page."""
-    title = page.evaluate("document.title")
+    title = page.evaluate("document.title").partition(" ")[0]
     page.steps[title, "clicks"] += clicks
     page.steps[title, "typed"] += typed
 
 
-def turn_to(page: Chromium, name: str) -> None:
-    """Go to another page, by the head of this one."""
-    link = f"[...document.querySelectorAll('.way a')].find(a => a.innerText == '{name}')"
-    page.wait_for(f"!!{link}", 20)
-    page.evaluate(f"{link}.click()")
-    here = f"document.querySelector('.way a.here')?.innerText == '{name}'"
-    page.wait_for(f"{here} && !!window.did_handshake", 60)
+def go_on(page: Chromium, name: str) -> None:
+    """Press Next, which leads to the page of this name."""
+    link = "document.querySelector('[data-next]')"
+    page.wait_for(f"{link}?.innerText == 'Next: {name}'", 20)
     count(page)
+    page.evaluate(f"{link}.click()")
+    here = f"document.querySelector('.way a.here')?.dataset.step == '{name}'"
+    page.wait_for(f"{here} && !!window.did_handshake", 60)
+
+
+def is_done(name: str) -> str:
+    """JavaScript: whether the step of this name bears a tick."""
+    return f"!!document.querySelector('.way a.done[data-step={name}]')"
 
 
 def press(page: Chromium, text: str) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 
 from measure.api import shipped_targets
 from measure.arrays import Bytes, Floats
-from measure.calibration import Charuco, Corners, read_board
+from measure.calibration import Charuco, Chessboard, Corners, read_board
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 
-TARGET = "charuco_8x5_27"
+TARGET, PLAIN = "charuco_8x5_27", "chessboard_9x6_25"
 SIZE_WH, NOISE_PX = (640, 480), 0.05
 _PX_PER_MM, _FINER, _DOT_MM = 4, 3, 2.0
 
@@ -22,6 +22,13 @@ def board() -> Charuco:
     """A board whose views count in part, too."""
     found = read_board(shipped_targets()[TARGET])
     assert isinstance(found, Charuco)
+    return found
+
+
+def plain_board() -> Chessboard:
+    """A board that is seen whole or not at all."""
+    found = read_board(shipped_targets()[PLAIN])
+    assert isinstance(found, Chessboard)
     return found
 
 
@@ -40,15 +47,18 @@ def rig(azimuths_deg: tuple[float, ...] = (60, 120)) -> tuple[Camera, ...]:
     return tuple(out)
 
 
-def waved(time_s: float) -> RigidTransform:
-    """world_from_board: it wanders about the middle, tilts to all sides, faces up."""
+def waved(time_s: float, target: Charuco | Chessboard | None = None) -> RigidTransform:
+    """world_from_board, of the ChArUco if none is given.
+
+    It wanders about the middle, tilts to all sides, faces up.
+    """
     t = time_s
     middle = [130 * np.sin(0.9 * t), 95 * np.sin(0.61 * t + 1), -20 + 70 * np.sin(0.37 * t)]
     tilt = np.deg2rad(38) * np.sin(0.7 * t + 0.3)
     axis = np.array([np.cos(0.5 * t), np.sin(0.5 * t), 0.0])
     over = RigidTransform.from_rotvec(np.array([np.pi, 0, 0])).rotation
     turn = RigidTransform.from_rotvec(tilt * axis).rotation @ over
-    return RigidTransform(turn, np.array(middle) - turn @ board().points.mean(axis=0))
+    return RigidTransform(turn, np.array(middle) - turn @ (target or board()).points.mean(axis=0))
 
 
 def corners(camera: Camera, world_from_board: RigidTransform) -> Floats:
@@ -70,17 +80,21 @@ def looked_at(
     return views
 
 
-def picture(camera: Camera, world_from_board: RigidTransform, rng: np.random.Generator) -> Bytes:
+def picture(
+    camera: Camera,
+    world_from_board: RigidTransform,
+    rng: np.random.Generator,
+    target: Charuco | Chessboard | None = None,
+) -> Bytes:
     """What the camera sees, with the blur of a lens and the noise of a sensor."""
     camera_from_board = camera.world_from_camera.inverse() @ world_from_board
-    size_mm = np.array(board().squares) * board().square_mm
-    wh = tuple((size_mm * _PX_PER_MM).astype(int).tolist())
-    drawn, margin = board().pattern.generateImage(wh), 40 * _PX_PER_MM
+    drawn, corner_mm = _sheet(target or board())
+    margin = 40 * _PX_PER_MM
     sheet = cv2.copyMakeBorder(
         drawn, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=255
     )
     to_mm = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, _PX_PER_MM]]) / _PX_PER_MM
-    to_mm[:2, 2] -= 40.0
+    to_mm[:2, 2] += corner_mm - 40.0
     plane = np.column_stack([camera_from_board.rotation[:, :2], camera_from_board.translation])
     finer = np.diag([_FINER, _FINER, 1.0])
     finer[:2, 2] = (_FINER - 1) / 2
@@ -93,6 +107,17 @@ def picture(camera: Camera, world_from_board: RigidTransform, rng: np.random.Gen
     small = cv2.resize(seen, SIZE_WH, interpolation=cv2.INTER_AREA)
     levels = 30 + 0.75 * cv2.GaussianBlur(small, (0, 0), 0.6) + rng.normal(0, 1.5, small.shape)
     return np.dstack([np.clip(levels, 0, 255).astype(np.uint8)] * 3)
+
+
+def _sheet(target: Charuco | Chessboard) -> tuple[Bytes, float]:
+    """The printed squares, and where their first corner lies in the board's frame, in x and y."""
+    across, down = np.array(target.inner_corners) + 1
+    side = int(target.square_mm * _PX_PER_MM)
+    if isinstance(target, Charuco):
+        return np.asarray(target.pattern.generateImage((across * side, down * side))), 0.0
+    y, x = np.mgrid[:down, :across]
+    squares = np.where((x + y) % 2, 255, 0).astype(np.uint8)
+    return np.repeat(np.repeat(squares, side, axis=0), side, axis=1), -target.square_mm
 
 
 def dots(camera: Camera, points: Floats) -> Bytes:
