@@ -19,14 +19,16 @@ from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium
 from tests.simulated.sessions import still_session
 from tests.studio import test_from_nothing as new
+from tests.studio import test_marks as marks
 from tests.studio import waved
 from tests.studio.desk import choose, go, press, studio
 
 IMAGES = Path(__file__).parent / "images"
-SIZES = {"": (1440, 900), "-tablet": (800, 1100), "-phone": (420, 800)}
-SHOWN = {"cameras-phone": 320, "marks-tablet": 560, "measure": 800}
+SIZES = {"": (1440, 900), "-tablet": (800, 1100), "-phone": (390, 844)}
+SHOWN = {"cameras-phone": 320, "calibration-phone": 320, "marks-tablet": 560, "measure": 800}
 """Width in px of those in the docs that are not of the first size, or hold more than usual."""
 WIDTH_PX = 900
+AZIMUTHS_DEG = (45.0, 80.0, 115.0, 150.0)  # Of the cameras before which the board is waved
 LIVE = "document.querySelectorAll('img.live[src^=blob]').length >= 2"
 VIEWER = "[...document.querySelectorAll('.q-checkbox')].find(c => c.innerText == '3-D viewer')"
 
@@ -56,32 +58,45 @@ def main(folder: Path | None) -> None:
             page.wait_for("document.querySelector('[data-pose]')?.innerText.includes('±')", 120)
             page.idle(30.0)
             _take(page, "measure", folder)
-        _set_up(page, Path(scratch), folder)
+        _calibrate(page, Path(scratch), folder)
+        _make_the_body(page, Path(scratch), folder)
 
 
-def _set_up(page: Chromium, scratch: Path, folder: Path | None) -> None:
-    """A board that is waved, markers, and a body, before two cameras."""
-    desk, rng, true = scratch / "set-up", np.random.default_rng(0), new.cameras()
-    cameras = _served(new.board_pictures(rng))
-    with serving(cameras) as found, studio(desk, *_words(found)) as address:
+def _calibrate(page: Chromium, scratch: Path, folder: Path | None) -> None:
+    """A board that is waved before four cameras, and lies where the world is to be."""
+    rng, rig = np.random.default_rng(0), waved.rig(AZIMUTHS_DEG)
+    pictures = new.CHARUCO.pictures(rng, rig)
+    cameras = _served(pictures)
+    with serving(cameras) as found, studio(scratch / "set-up", *_words(found)) as address:
         go(page, address + "calibration")
-        choose(page, "Board", waved.TARGET)
         press(page, "wave the board")
-        page.wait_for(f"!!{new.ADVICE} && {LIVE}", 30)
-        page.idle(4.0)
+        page.wait_for(f"/Accurate enough/.test({new.ADVICE}) && {LIVE}", 120)
         _take(page, "calibration", folder)
-        press(page, "stop")
-        write_calibration(desk / "calibration.toml", Calibration(true))
-        new.serve(cameras, {c.name: [new.jpeg(waved.dots(c, new.FIELD.points))] for c in true})
-        page.idle(2.0)
+        press(page, "enough for me")
+        page.wait_for(f"/calibrated/.test({new.JUDGEMENT})", 120)
+        _take(page, "calibrated", folder)
+        new.serve(cameras, {n: new.at_rest(some[0], rng) for n, some in pictures.items()})
+        go(page, address + "world")
+        press(page, "the world is where")
+        page.wait_for("document.querySelectorAll('.over path.axis.z').length >= 4", 30)
+        _take(page, "world", folder)
+
+
+def _make_the_body(page: Chromium, scratch: Path, folder: Path | None) -> None:
+    """Markers that are clicked, and a body that is turned, before two cameras."""
+    desk, rng, true = scratch / "desk", np.random.default_rng(0), new.cameras()
+    desk.mkdir()
+    write_calibration(desk / "calibration.toml", Calibration(true))
+    dots = {c.name: new.at_rest(new.jpeg(waved.dots(c, marks.FIELD.points)), rng) for c in true}
+    cameras = _served(dots)
+    with serving(cameras) as found, studio(desk, *_words(found)) as address:
         go(page, address + "marks")
-        new.mark_the_dots(page, true)
-        page.idle(6.0)
+        marks.open_pictures(page)
+        marks.mark_the_dots(page, true)
         _take(page, "marks", folder)
         new.serve(cameras, new.ball_pictures(scratch / "balls"))
-        page.idle(2.0)
         go(page, address + "body")
-        new.make_the_body(page, desk, true, scratch / "balls")
+        new.make_the_body(page, new.Waits())
         _take(page, "body", folder)
 
 

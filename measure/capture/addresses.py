@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -14,6 +16,8 @@ from measure.capture.web_address import shown
 from measure.errors import CaptureError, ConfigError
 from measure.session import check_name
 
+_RANGE = re.compile(r"\[(\d+)-(\d+)\]")
+_MOST_IN_RANGE = 16  # Twice as many cameras as a rig has
 _SCHEMES = ("http", "https", "rtsp", "rtsps")
 
 
@@ -86,6 +90,9 @@ class CameraAddress:
 def parse_cameras(words: Iterable[str], names: Sequence[str] = ()) -> list[CameraAddress]:
     """Read cameras as NAME=ADDRESS, or as addresses alone.
 
+    A range in an address of the network stands for several, as curl has it:
+    `http://10.0.0.[5-8]:8080/`; the number at the end of their name counts with it.
+
     Args:
         names: those of a calibration, which addresses alone get in this order; cam0, cam1, ...
             without.
@@ -94,7 +101,7 @@ def parse_cameras(words: Iterable[str], names: Sequence[str] = ()) -> list[Camer
         ConfigError: a name is given twice, left empty or no name (`check_name`), or some cameras
             have names and some not.
     """
-    pairs = [_split(word) for word in words]
+    pairs = [pair for word in words for pair in _counted(*_split(word))]
     named = [name is not None for name, _ in pairs]
     if any(named) and not all(named):
         raise ConfigError("give every camera a name (NAME=ADDRESS), or none")
@@ -125,3 +132,30 @@ def _split(word: str) -> tuple[str | None, str]:
     if not equals or any(sign in name for sign in "/:?\\"):
         return None, word
     return name, address
+
+
+def _counted(name: str | None, address: str) -> list[tuple[str | None, str]]:
+    """The cameras that a range in an address stands for; ranges after the first count with it."""
+    found = _RANGE.search(address) if "://" in address else None
+    if found is None:
+        return [(name, address)]
+    low, high = int(found[1]), int(found[2])
+    if not low <= high < low + _MOST_IN_RANGE:
+        raise ConfigError(
+            f"{shown(address)}: {found[0]} stands for no cameras: expected the lower number first, "
+            f"and no more than {_MOST_IN_RANGE} of them"
+        )
+
+    def number(step: int, one: re.Match[str]) -> str:
+        return f"{int(one[1]) + step:0{len(one[1])}d}"
+
+    steps = range(high - low + 1)
+    return [(_next_name(name, k), _RANGE.sub(partial(number, k), address)) for k in steps]
+
+
+def _next_name(name: str | None, step: int) -> str | None:
+    """The name so many after this one: cam2 after cam0."""
+    if name is None:
+        return None
+    stem = name.rstrip("0123456789")
+    return f"{stem}{int(name[len(stem) :] or 0) + step}"

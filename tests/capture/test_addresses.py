@@ -58,3 +58,32 @@ def test_what_is_not_there_is_refused(tmp_path):
 def test_an_address_that_is_none_is_told(scheme):
     with pytest.raises(CaptureError, match=r"camera 'a': \w+://\[::1/: Invalid IPv6 URL"):
         CameraAddress("a", f"{scheme}://[::1/").source()
+
+
+def test_a_range_stands_for_several_cameras_of_the_network():
+    rig = "http://10.0.0.[8-11]:8080/?action=stream"
+    found = parse_cameras([rig])
+    assert [one.name for one in found] == ["cam0", "cam1", "cam2", "cam3"]
+    assert [one.address for one in found][::3] == [
+        "http://10.0.0.8:8080/?action=stream",
+        "http://10.0.0.11:8080/?action=stream",
+    ]
+    words = ["cam0=http://pi/0", "cam1=http://pi[01-02]/cam[1-2]"]
+    assert [f"{one.name}={one.address}" for one in parse_cameras(words)] == [
+        "cam0=http://pi/0",
+        "cam1=http://pi01/cam1",
+        "cam2=http://pi02/cam2",
+    ]
+    left = parse_cameras(["left=http://pi/[3-4]"])
+    assert [one.name for one in left] == ["left0", "left1"]
+
+
+@pytest.mark.parametrize("word", ["film[1-2].mp4", "http://[::1]:8080/", "http://pi/[a-b]"])
+def test_what_is_no_range_stays_as_it_is(word):
+    assert [one.address for one in parse_cameras([word])] == [word]
+
+
+@pytest.mark.parametrize("span", ["[5-3]", "[0-99]"])
+def test_a_range_of_no_cameras_is_refused(span):
+    with pytest.raises(ConfigError, match="stands for no cameras"):
+        parse_cameras([f"http://pi/{span}"])

@@ -1,0 +1,80 @@
+"""What a page says of its work: in the words of a page, with the time that is left."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from measure.api import CaptureRequest, Registry, board_length, write_measured_board
+from measure.errors import ConfigError
+from measure.studio.bench import Bench, Job
+from measure.studio.words import plain
+
+FOLDER = Path("/home/somebody/my rig")
+
+
+@pytest.mark.parametrize(
+    ("said", "shown"),
+    [
+        ("--sample green=562,399: no ball-like patch", "no ball-like patch"),
+        ("no truth.csv is there; give one with --truth", "no truth.csv is there"),
+        ("nothing believed; to find out why: measure check", "nothing believed"),
+        (f"{FOLDER}/run-1/run.toml: cut off", "run-1/run.toml: cut off"),
+        (f"{FOLDER} is full", "my rig is full"),
+        ("cam0: 3 pictures - 2 too many; wave on", "cam0: 3 pictures - 2 too many; wave on"),
+        ("to measure a body choose one", "to measure a body choose one"),
+    ],
+)
+def test_a_page_names_no_options_commands_or_paths(said, shown):
+    assert plain(said, FOLDER) == shown
+
+
+def test_times_are_those_of_a_clock():
+    assert plain("at 1795785159.649 s").startswith("at ")
+    assert plain("at 1795785159.649 s").endswith(":39.649 s")
+    assert plain("7 of 1795785159 pictures") == "7 of 1795785159 pictures"
+
+
+def test_work_says_how_long_it_takes_yet():
+    may_go_on = threading.Event()
+
+    def work(job: Job) -> str:
+        may_go_on.wait(10.0)
+        return "done"
+
+    job = Job("calibrating", work)
+    assert job.told() == "calibrating ... 0 s"
+    job.progress(1, 4)
+    assert job.told() == "calibrating: 25%, about 1 s left"
+    job.title = "writing"
+    assert job.told() == "writing ... 0 s"
+    may_go_on.set()
+    job.wait(10.0)
+    assert job.told() == "done"
+
+
+def test_an_error_that_is_over_is_forgotten(tmp_path):
+    bench = Bench(tmp_path, Registry.discover(), True, CaptureRequest())
+
+    def work(_: Job) -> str:
+        bench.addresses()
+        return "never"
+
+    bench.begin("recording", work)
+    assert bench.job is not None
+    bench.job.wait(10.0)
+    assert "no camera yet" in bench.job.told()
+    bench.set_cameras([])
+    assert bench.job is None
+
+
+def test_a_board_is_as_large_as_it_was_measured(tmp_path):
+    measured = tmp_path / "measured.toml"
+    for name, squares, square_mm in (("charuco_8x5_27", 9, 27.0), ("chessboard_9x6_25", 10, 25.0)):
+        assert board_length(name) == (squares, square_mm)
+        write_measured_board(name, 1.005 * square_mm, measured)
+        assert board_length(measured) == (squares, pytest.approx(1.005 * square_mm))
+        with pytest.raises(ConfigError, match="no printer is off by"):
+            write_measured_board(name, 1.5 * square_mm, measured)
