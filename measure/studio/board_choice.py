@@ -54,8 +54,9 @@ def _is_board(name: str) -> bool:
 def _length(bench: Bench, board: ui.select) -> None:
     """How long the printed board's squares are, with a ruler's picture."""
     ui.html(drawings.ruler(), sanitize=False)
-    field = ui.number("Squares measured, mm", step=0.5).classes("field")
-    one = ui.label().classes("hint")
+    with ui.column().classes("length"):
+        field = ui.number("Squares measured, mm", step=0.5).classes("field")
+        one = ui.label().classes("hint")
 
     def fill() -> None:
         try:

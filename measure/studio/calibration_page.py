@@ -104,8 +104,10 @@ class _Wave:
             return ""
         if self.state is None:
             return "show the board to the cameras"
-        advice = "\n".join(self.state.advice[:_ADVISED])
-        return f"Accurate enough; still empty: {advice}" if self.is_accurate and advice else advice
+        if self.is_accurate and self.state.advice:
+            parts = ", ".join(one.replace(": ", " ") for one in self.state.advice[:_ADVISED])
+            return f"Accurate enough; still empty: {parts}"
+        return "\n".join(self.state.advice[:_ADVISED])
 
     def reached(self) -> str:
         """How far it is."""
@@ -181,10 +183,10 @@ def _one(bench: Bench, body: ui.select) -> Path | None:
 def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> None:
     """The button that begins, and what to do next while the board is waved."""
     with ui.row().classes("line"):
+        told(wave.advice, "figure lines", "data-advice")
         begin = act("Wave the board", "waving_hand", lambda: wave.take(body()), primary=True)
         enough = act("Enough for me", "done", wave.end, primary=True)
     with ui.column().classes("advice") as shown:
-        told(wave.advice, "figure lines", "data-advice")
         bar = ui.linear_progress(0.0, show_value=False).props("rounded size=0.9rem")
         bar.props('aria-label="how accurate it is, of what was asked for"')
         told(wave.reached, "hint")

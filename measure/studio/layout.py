@@ -36,7 +36,7 @@ def page(bench: Bench, path: str) -> Iterator[None]:
         ui.label("triball").classes("product")
         with ui.element("nav").classes("way").props('aria-label="steps"'):
             links = [_step_link(number, here) for number in range(len(STEPS))]
-    with ui.column().classes("page"):
+    with ui.column().classes("page") as body:
         yield
     with ui.footer().classes("foot"):
         _job_line(bench)
@@ -46,8 +46,9 @@ def page(bench: Bench, path: str) -> Iterator[None]:
         done = [step.is_done(bench) for step in STEPS]
         for link, is_done in zip(links, done, strict=True):
             put(link, "done", is_done)
-        if onward is not None:
+        if onward is not None:  # One button stands out: what is to be done, then the way on
             put(onward, "primary", done[here])
+            put(body, "is-done", done[here] and not bench.busy)
 
     ui.timer(1.0, tick)
 

@@ -27,6 +27,9 @@ async function refresh() {
 
 setInterval(refresh, period);
 
+// What is shown is old once the server is gone: nothing looks live then.
+setInterval(() => document.body.classList.toggle("lost", window.socket?.connected === false), period);
+
 // Pictures marked `marked` are shown enlarged about the pointer, with the marks where they were
 // refined to. A pixel's centre is at integers; canvas and overlay count from the picture's corner.
 const across = 33;
