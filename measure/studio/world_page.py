@@ -37,15 +37,15 @@ class _World:
 
     def look(self) -> None:
         """Look for the board in the newest pictures, unless there is other work to do."""
-        bench, self.place = self.bench, None
+        bench = self.bench
         if bench.calibration is None or bench.busy:
             return
         try:
             newest = bench.preview.pixels(bench.names)
-            found = api.world_by_board(bench.calibration, bench.target(), newest)[1]
-            self.place, self.unseen = found.transform, ""
+            place = api.world_by_board(bench.calibration, bench.target(), newest)[1]
+            self.place, self.unseen = place.transform, ""
         except MeasureError as problem:
-            self.unseen = plain(str(problem), bench.folder)
+            self.place, self.unseen = None, plain(str(problem), bench.folder)
 
     def by_board(self) -> None:
         """Put the world where the board lies now."""
@@ -98,7 +98,7 @@ class _World:
             return ""
         camera, parts = known.camera(name), list[str]()
         squares, square_mm = api.board_length(self.bench.target())
-        length_mm = squares * square_mm / 2 or _AXIS_MM
+        length_mm = squares * square_mm / 3 or _AXIS_MM
         if STEPS[step_of("/world")].is_done(self.bench):
             parts.append(overlays.axes(camera, api.RigidTransform.identity(), length_mm))
         if self.place is not None:
