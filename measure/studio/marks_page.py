@@ -22,6 +22,7 @@ from measure.studio.layout import (
     intro,
     link,
     page,
+    put,
     told,
     tried,
 )
@@ -182,8 +183,8 @@ def _head(bench: Bench, marks: _Marks, refresh: Callable[[], object]) -> None:
         source.bind_value(marks, "source")
         lenses = choice("Lenses", bench, there.calibrations)
         target = ui.select([*targets], label="Markers of", clearable=True).classes("field")
-        is_open = marks.marking is not None
-        button("Open", "photo_camera", begin, primary=not is_open)
+        opener = button("Open", "photo_camera", begin)
+        ui.timer(0.5, lambda: put(opener, "primary", marks.marking is None))
 
 
 def _picture(marks: _Marks, marking: api.Marking) -> None:
