@@ -24,10 +24,12 @@ from measure_plugins._acquisition.color_table import (
     with_shade,
 )
 from measure_plugins._acquisition.patches import majority
+from measure_plugins._acquisition.small import MIN_RADIUS_PX, find_small_circles
 
 _REDUCED_WIDTH = 320
-_MIN_RADIUS_PX, _MAX_RADIUS_SHARE = 10.0, 0.35
-"""Smallest outline radius searched for, and the largest, as a share of the picture's height."""
+_MIN_RADIUS, _MAX_RADIUS_SHARE = 2.5, 0.35
+"""Smallest radius searched for in the reduced picture, in its pixels, and the largest, as a share of
+the picture's height."""
 _MIN_SEEN, _MIN_FILLED = 0.16, 0.3
 """Least share of a ball's outline in sight, and of a circle's inside that has the ball's colour."""
 _MAX_CANDIDATES = 10  # Per ball and picture
@@ -66,10 +68,16 @@ def find_circles(pixels: Bytes, colors: Sequence[BallColor]) -> FoundCircles:
     bits, shaded = _bits_of(pixels, table, with_dark, step, count)
     dark = np.nonzero(shaded)[0].tolist()
     found = _circles(bits, range(count + len(again)), step, pixels.shape[0])
-    more = list(zip([i for i, _ in again], found[count:], strict=True))
+    owners = [*range(count), *(i for i, _ in again)]
+    more = list(zip(owners[count:], found[count:], strict=True))
     if dark:
         bits, _ = _bits_of(pixels, with_dark, with_dark, step, 0)
         more += zip(dark, _circles(bits, dark, step, pixels.shape[0]), strict=True)
+        chosen = np.uint8(sum(1 << i for i in dark))
+        table = (table & ~chosen) | (with_dark & chosen)
+        table.setflags(write=False)
+    limits = (_MIN_SEEN, _MIN_FILLED, _MAX_CANDIDATES)
+    more += zip(owners, find_small_circles(pixels, table, range(len(owners)), step, limits))
     for i, others in more:
         found[i] = distinct(np.concatenate([found[i], others]))[:_MAX_CANDIDATES]
     return FoundCircles(found[:count], with_dark)
@@ -105,7 +113,7 @@ def warm_up() -> None:
 
 def _circles(bits: Bytes, of: Sequence[int], step: int, height: int) -> list[Floats]:
     """Circles (k, 6) of some colours, best first, see `FoundCircles`."""
-    radii = (_MIN_RADIUS_PX / step, _MAX_RADIUS_SHARE * height / step)
+    radii = (max(MIN_RADIUS_PX / step, _MIN_RADIUS), _MAX_RADIUS_SHARE * height / step)
     circles, ends = circles_of_each(
         bits, np.array(of, np.int64), radii, _MIN_SEEN, _MIN_FILLED, _MAX_CANDIDATES
     )

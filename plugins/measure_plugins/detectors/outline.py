@@ -39,6 +39,10 @@ _WHOLE_MATCH = 0.75
 """Share of a ball's inside with its colour below which its score is lower: balls of two colours are
 not supported, and half-hidden ones are less sure."""
 
+_SMALL_PX, _SMALL_SCORE = 10.0, 0.7
+"""Radius below which what a search finds needs a higher score: of the few pixels round such a small
+outline most edges of anything agree. Balls of 7 px score 0.8 and more, print and bars 0.7."""
+
 
 class OutlineDetector(SelfCalibratingDetector):
     """Sub-pixel outlines near their predictions; without one, the whole frame is searched."""
@@ -152,7 +156,7 @@ class OutlineDetector(SelfCalibratingDetector):
             for i in np.nonzero(found.numbers[:, 1])[0].tolist()
             for ball in names[i]
         )
-        return [detection for detection in each if detection is not None]
+        return [detection for detection in each if detection is not None and _is_sure(detection)]
 
     def _circles(self, view: CameraImage) -> FoundCircles:
         """Circles of each of the body's colours in a whole picture."""
@@ -281,6 +285,14 @@ class OutlineDetector(SelfCalibratingDetector):
             outline_px=found.points_px[i, :count],
             outline_sd_px=found.sd_px[i, :count],
         )
+
+
+def _is_sure(searched: Detection) -> bool:
+    """Whether what a search has found may be a ball: small things have to look more like one."""
+    from measure_plugins._acquisition import MIN_RADIUS_PX
+
+    least = _SMALL_SCORE if searched.radius_px < _SMALL_PX else 0.0
+    return searched.radius_px >= MIN_RADIUS_PX and searched.score >= least
 
 
 def _cones(rows: Floats) -> list[tuple[Floats, float, float]]:

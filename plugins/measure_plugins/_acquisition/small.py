@@ -1,0 +1,150 @@
+"""Balls too small for the reduced picture: circles round small patches of their colours.
+
+A picture of any size is reduced to a few hundred pixels across before circles are looked for, so
+that small balls of a large picture are lost. A lattice of its pixels, of which some lie on every
+ball, shows where small patches of a colour are. These are cut out, reduced to like sizes, laid side
+by side, and searched as one picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from measure.arrays import Bytes, Floats, Ints
+from measure_plugins._acquisition.circles import circles_of_each
+from measure_plugins._acquisition.color_table import classify
+from measure_plugins._acquisition.patches import borders, framed, majority
+
+MIN_RADIUS_PX = 6.0
+"""Smallest outline radius searched for: rough circles of balls of 7 px are up to a pixel smaller."""
+_LATTICE_PX = 6
+"""Distance of the pixels looked at: four or more of them lie on any disc of 7 px radius."""
+_MIN_PIXELS = 4  # Fewest pixels of a patch in the lattice
+_MIN_FULL, _MIN_ASPECT = 0.5, 0.4
+"""Least share of a patch's bounding box that it fills, and of the box's longer side that is its
+shorter one: a disc fills 0.79, and so does one that is half hidden."""
+_LARGEST = 20
+"""Largest patch, in pixels of the reduced picture: there, whole balls are found from a diameter of 7
+on, and half hidden ones from 20 on."""
+_MOST_PATCHES = 64  # Of a colour, the largest ones: more are noise, or texture
+_STEP = 2  # By how much what is laid side by side is reduced
+_PATCH, _MARGIN = 36, 5
+"""Largest side of a patch then, and how much is cut out round it, by which circles are judged."""
+_SIDE_PX = _STEP * (_PATCH + 2 * _MARGIN)
+_BESIDE = 0.5  # How far outside of its patch a circle's centre may be, in radii: hidden balls
+
+
+class _Patches(NamedTuple):
+    """Small patches of a colour."""
+
+    low: Ints  # (n, 2) first pixel x, y of each
+    high: Ints  # (n, 2) last pixel
+    scale: Ints  # (n,) by how much each is reduced before it is laid beside others, a power of two
+
+
+def find_small_circles(
+    pixels: Bytes, table: Bytes, bits: Sequence[int], step: int, limits: tuple[float, float, int]
+) -> list[Floats]:
+    """Circles of some colours that are too small for the picture reduced by `step`, best first.
+
+    Args:
+        pixels: BGR (h, w, 3), contiguous.
+        table: of colours, see `color_table`.
+        bits: their numbers in it.
+        limits: least share of a circle seen, and of its inside filled, and most circles of each.
+
+    Returns:
+        (k, 6) for each, see `FoundCircles`.
+    """
+    if step <= _STEP:
+        return [np.empty((0, 6)) for _ in bits]
+    lattice = min(step, _LATTICE_PX)
+    grid, _ = classify(pixels, table, table, lattice)
+    patches = [_small_patches(grid, bit, lattice, _LARGEST * step) for bit in bits]
+    columns = max(1, round(sum(len(some.low) for some in patches) ** 0.5))
+    rows = np.cumsum([0, *(-(-len(some.low) // columns) for some in patches)])
+    sheet = np.zeros((_SIDE_PX * int(rows[-1]), _SIDE_PX * columns, 3), np.uint8)
+    for some, row in zip(patches, rows.tolist(), strict=False):
+        _lay_side_by_side(pixels, some, sheet[_SIDE_PX * row :], columns)
+    seen, _ = classify(sheet, table, table, _STEP)
+    seen, per_row = majority(seen), _SIDE_PX // _STEP
+    return [
+        _circles_in(seen[per_row * first : per_row * last], bit, some, columns, limits)
+        for bit, some, (first, last) in zip(bits, patches, pairwise(rows.tolist()), strict=True)
+    ]
+
+
+def _small_patches(grid: Bytes, bit: int, lattice: int, largest_px: int) -> _Patches:
+    """Patches of a colour in every so many-th pixel that may be balls no larger than that."""
+    used = np.nonzero((grid & np.uint8(1 << bit)).any(axis=1))[0]
+    first, last = (used[0], used[-1] + 1) if len(used) else (0, 0)
+    at, ends = borders(framed(grid[first:last], 1 << bit), _MIN_PIXELS)
+    if len(ends) == 0:
+        none = np.empty((0, 2), np.int64)
+        return _Patches(none, none, none[:, 0])
+    starts = np.concatenate([[0], ends[:-1]])
+    low, high = np.minimum.reduceat(at, starts), np.maximum.reduceat(at, starts)
+    (width, height), area = (high - low + 1).T, _areas(at, starts, ends)
+    longer, shorter = np.maximum(width, height), np.minimum(width, height)
+    small = (lattice * longer <= largest_px) & (area >= _MIN_PIXELS)
+    small &= (area >= _MIN_FULL * longer * shorter) & (shorter >= _MIN_ASPECT * longer)
+    which = np.nonzero(small)[0]
+    which = which[np.argsort(-area[which], kind="stable")][:_MOST_PATCHES]
+    octave = np.ceil(np.log2(np.maximum(lattice * longer[which] / (_STEP * _PATCH), 1.0)))
+    down = np.array([0, first])
+    low, high = lattice * (low[which] + down), lattice * (high[which] + down + 1) - 1
+    return _Patches(low, high, 1 << octave.astype(np.int64))
+
+
+def _areas(at: Ints, starts: Ints, ends: Ints) -> Floats:
+    """Pixels (n,) inside borders, and on them, by Pick's theorem; holes count."""
+    after = np.arange(1, len(at) + 1)
+    after[ends - 1] = starts
+    twice = np.add.reduceat(at[:, 0] * at[after, 1] - at[after, 0] * at[:, 1], starts)
+    return np.asarray((np.abs(twice) + ends - starts) / 2 + 1)
+
+
+def _origins(patches: _Patches) -> Ints:
+    """The first pixel (n, 2) of the square about each patch that is cut out."""
+    return (patches.low + patches.high + 1 - _SIDE_PX * patches.scale[:, None]) // 2
+
+
+def _lay_side_by_side(pixels: Bytes, patches: _Patches, sheet: Bytes, columns: int) -> None:
+    """Fill squares of a sheet, row by row, with the surroundings of patches."""
+    height, width = pixels.shape[:2]
+    origins, scales = _origins(patches).tolist(), patches.scale.tolist()
+    for k, ((x, y), scale) in enumerate(zip(origins, scales, strict=True)):
+        left, top = max(x, 0), max(y, 0)
+        some = pixels[top : y + _SIDE_PX * scale, left : x + _SIDE_PX * scale]
+        if scale > 1:
+            size = (-(-some.shape[1] // scale), -(-some.shape[0] // scale))
+            some = cv2.resize(some, size, interpolation=cv2.INTER_AREA)
+        u = k % columns * _SIDE_PX + (left - x) // scale
+        v = k // columns * _SIDE_PX + (top - y) // scale
+        sheet[v : v + some.shape[0], u : u + some.shape[1]] = some
+
+
+def _circles_in(
+    seen: Bytes, bit: int, patches: _Patches, columns: int, limits: tuple[float, float, int]
+) -> Floats:
+    """Circles (k, 6) of a colour in patches that are laid side by side and reduced."""
+    if len(seen) == 0:
+        return np.empty((0, 6))
+    circles, _ = circles_of_each(
+        seen, np.array([bit], np.int64), (MIN_RADIUS_PX / _STEP, float(_PATCH)), *limits
+    )
+    cell = _SIDE_PX // _STEP
+    column, row = np.maximum(circles[:, :2] // cell, 0).astype(np.int64).T
+    number = np.minimum(row * columns + np.minimum(column, columns - 1), len(patches.low) - 1)
+    scale = patches.scale[number, None]
+    circles[:, :2] -= cell * np.column_stack([column, row])
+    circles[:, :3] *= _STEP * scale
+    circles[:, :2] += _origins(patches)[number] + (_STEP * scale - 1) / 2
+    beside = np.maximum(patches.low[number] - circles[:, :2], circles[:, :2] - patches.high[number])
+    own = circles[beside.max(axis=1) <= _BESIDE * circles[:, 2]]
+    return np.column_stack([own, np.full(len(own), bit)])
