@@ -29,7 +29,6 @@ from measure.api.correcting import (
 )
 from measure.api.demo import Demo, demo, render_demo
 from measure.api.detecting import (
-    Lens,
     Samples,
     SeenPicture,
     detect,
@@ -41,6 +40,7 @@ from measure.api.detecting import (
     write_sampled_body,
 )
 from measure.api.folders import contents_of, events, inside, mark_event, next_free
+from measure.api.lenses import FocalFrom, Lens
 from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
 from measure.api.marking import MARK_KINDS, TAG_FAMILIES, Mark, Marking, MarkKind, begin_marks
@@ -102,9 +102,9 @@ from measure.session import Calibration, read_body, read_calibration, write_body
 __all__ = [
     "CAMERA_PORT", "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Accepted", "BallWatch", "Calibration",
     "CalibrationResult", "Camera", "CameraAddress", "CameraCount", "CameraNow", "CaptureOptions",
-    "CaptureRequest", "Control", "Demo", "DeviceControls", "FoundBody", "FoundCamera", "Lens",
-    "LiveEnd", "LiveOptions", "LiveState", "Mark", "MarkKind", "Marking", "Measurement", "Mode",
-    "Outcome", "PictureFacts", "PlayEnd", "PlayOptions", "Preview", "RecordedSession",
+    "CaptureRequest", "Control", "Demo", "DeviceControls", "FocalFrom", "FoundBody", "FoundCamera",
+    "Lens", "LiveEnd", "LiveOptions", "LiveState", "Mark", "MarkKind", "Marking", "Measurement",
+    "Mode", "Outcome", "PictureFacts", "PlayEnd", "PlayOptions", "Preview", "RecordedSession",
     "RefineResult", "Registry", "RenderOptions", "RestsSoFar", "RigidTransform", "RunOptions",
     "Samples", "SeenPicture", "SessionCheck", "SimulationOptions", "SweepOptions", "SyncedClock",
     "TipResult", "TrainOptions", "Verdict", "WatchedCamera", "WaveState", "ablate", "accept",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -11,44 +11,43 @@ import cv2
 import numpy as np
 
 from measure import model
+from measure.api.lenses import FocalFrom, Lens, LensOf, camera_by_balls
 from measure.api.outputs import check_apart, check_file, output
 from measure.api.profiles import build_detectors
 from measure.arrays import Bytes, Floats
 from measure.errors import ConfigError
 from measure.estimation.lateral_color import with_lateral_color
-from measure.geometry import RigidTransform
-from measure.host import Registry
+from measure.host import Detector, Registry
 from measure.measuring import Profile, plugin_calls
 from measure.processes import Progress, quiet
-from measure.session import read_calibration, read_picture, write_body
+from measure.session import (
+    Orientation,
+    decode_picture,
+    picture_bytes,
+    picture_tags,
+    read_picture,
+    write_body,
+)
 
-_USUAL_FOCAL = 0.72  # Focal length over the longer side of a picture, of ordinary webcams
 _SIZE_FACTOR = 1.25  # How much larger or smaller than expected a ball may be
 _PLACE_STEPS = 4
 _REACH_RADII = 0.5  # How far from where it is expected a ball may be, in its radii
 
 
-@dataclass(frozen=True)
-class Lens:
-    """What is known of the camera that took the pictures.
-
-    Attributes:
-        calibration: of the camera, if there is one.
-        camera: the camera's name in it; may be left out if it holds one only.
-        focal_px: the focal length without a calibration; 0.72 times the longer side if omitted.
-    """
-
-    calibration: Path | None = None
-    camera: str | None = None
-    focal_px: float | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class SeenPicture:
-    """The balls seen in one picture, the best first."""
+    """The balls seen in one picture; coordinates are those of the picture as a viewer shows it."""
 
     picture: Path
-    detections: tuple[model.Detection, ...]
+    detections: tuple[model.Detection, ...]  # the best first
+    outlines_px: tuple[Floats, ...]  # of each detection, (n, 2) around it
+    focal_px: float  # focal length of the camera
+    focal_from: FocalFrom
+    orientation: Orientation  # how a viewer turns the stored picture
+
+    def shown(self) -> Bytes:
+        """The picture (h, w, 3), B G R, as a viewer shows it."""
+        return self.orientation.shown(read_picture(self.picture))
 
 
 def parse_expectation(text: str) -> tuple[str, tuple[float, float, float]]:
@@ -85,7 +84,8 @@ def detect(
     """Find a body's balls in single pictures.
 
     Args:
-        lens: the camera itself, or what says which it is.
+        lens: what says which camera it is; or the camera itself, and then coordinates are those of
+            the stored pictures, whatever their orientation tags ask for.
         expected: balls, where their centres are and their radii in px; without any the whole
             picture is searched for all balls.
     """
@@ -94,62 +94,77 @@ def detect(
         raise ConfigError(
             f"--expect {unknown[0]}: the body has no such ball, but {', '.join(body.names)}"
         )
-    cameras = LensOf(lens or Lens())
+    cameras, stored = LensOf(lens or Lens()), isinstance(lens, model.Camera)
+    build = partial(build_detectors, profile, registry, body)
     seen = []
     for index, path in enumerate(pictures):
-        pixels = read_picture(path)
-        camera = cameras.of(pixels.shape[1], pixels.shape[0], path)
+        data = picture_bytes(path)
+        pixels, tags = decode_picture(data, str(path)), picture_tags(data)
+        size = pixels.shape[1], pixels.shape[0]
+        turn, camera = Orientation(size, 1 if stored else tags.orientation), cameras.of(*size, path)
         image = model.Image(camera.name, index, 0.0, partial(np.asarray, pixels))
         (camera,) = with_lateral_color([camera], [model.FrameSet(index, 0.0, {camera.name: image})])
-        where = [_expectation(ball, at, body, camera) for ball, at in asked.items()]
-        (detector,) = build_detectors(profile, registry, body, [camera]).values()
-        found = plugin_calls.detections(detector, image, where, body)
-        kept = [d for d in found if not asked or d.ball in asked]
-        seen.append(SeenPicture(path, tuple(sorted(kept, key=lambda d: -d.score))))
+        look = partial(_look, image, body, build, _stored(asked, turn))
+        focal_from = cameras.focal_from
+        if focal_from is FocalFrom.USUAL:
+            camera, focal_from = camera_by_balls(camera, tags.focal_35mm, look)
+        found = sorted(look(camera), key=lambda d: -d.score)
+        shown = tuple(_shown(d, turn) for d in found)
+        outlines = tuple(turn.points_shown(_outline(d, body, camera)) for d in found)
+        focal_px = camera.intrinsics.focal_px
+        seen.append(SeenPicture(path, shown, outlines, focal_px, focal_from, turn))
         progress(index + 1, len(pictures))
     return tuple(seen)
 
 
-class LensOf:
-    """The camera of a picture: calibrated, or a plain one of the picture's size."""
-
-    def __init__(self, given: Lens | model.Camera) -> None:
-        lens = given if isinstance(given, Lens) else Lens()
-        self._focal_px, self._calibration = lens.focal_px, lens.calibration
-        self._calibrated = given if isinstance(given, model.Camera) else None
-        if lens.calibration is not None:
-            if lens.focal_px is not None:
-                raise ConfigError("--focal-px and --calibration both give a focal length: give one")
-            self._calibrated = _chosen(lens.calibration, lens.camera)
-        elif lens.camera is not None:
-            raise ConfigError(f"--camera {lens.camera}: give the --calibration that holds it")
-        if lens.focal_px is not None and not 0 < lens.focal_px < np.inf:
-            raise ConfigError(f"--focal-px {lens.focal_px}: expected a length in px above 0")
-
-    def of(self, width: int, height: int, picture: Path) -> model.Camera:
-        """The camera that took a picture of this size; ConfigError if it is of another."""
-        if self._calibrated is None:
-            focal = self._focal_px or _USUAL_FOCAL * max(width, height)
-            matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]
-            lens = model.Intrinsics((width, height), np.array(matrix), np.zeros(5))
-            return model.Camera("camera", lens, RigidTransform.identity())
-        size = self._calibrated.intrinsics.size_wh
-        if size != (width, height):
-            raise ConfigError(
-                f"{picture}: is {width}x{height} px, but {self._calibration} holds "
-                f"'{self._calibrated.name}' for {size[0]}x{size[1]}: give the camera that took it"
-            )
-        return self._calibrated
+Places = Mapping[str, tuple[float, float, float]]
+"""Where balls are expected: centre u, v and radius in px."""
 
 
-def _chosen(path: Path, name: str | None) -> model.Camera:
-    cameras: Mapping[str, model.Camera] = {c.name: c for c in read_calibration(path).cameras}
-    if name is None and len(cameras) == 1:
-        (name,) = cameras
-    if name is None or name not in cameras:
-        given = "which camera took the pictures?" if name is None else f"it has no '{name}':"
-        raise ConfigError(f"{path}: {given} give --camera, one of {', '.join(cameras)}")
-    return cameras[name]
+def _look(
+    image: model.Image,
+    body: model.Body,
+    build: Callable[[Sequence[model.Camera]], Mapping[str, Detector]],
+    asked: Places,
+    camera: model.Camera,
+) -> list[model.Detection]:
+    """What is seen of a body's balls, or of those asked for, in a picture of a camera."""
+    where = [_expectation(ball, at, body, camera) for ball, at in asked.items()]
+    (detector,) = build([camera]).values()
+    found = plugin_calls.detections(detector, image, where, body)
+    return [d for d in found if not asked or d.ball in asked]
+
+
+def _stored(asked: Places, turn: Orientation) -> Places:
+    """Places in the stored picture of those in the picture as it is shown."""
+    return {
+        ball: (*turn.points_stored(np.array([[u, v]]))[0].tolist(), radius)
+        for ball, (u, v, radius) in asked.items()
+    }
+
+
+def _shown(stored: model.Detection, turn: Orientation) -> model.Detection:
+    """A detection in the picture as it is shown."""
+    outline = stored.outline_px
+    return replace(
+        stored,
+        center_px=turn.points_shown(stored.center_px[None])[0],
+        covariance_px=turn.matrix @ stored.covariance_px @ turn.matrix.T,
+        outline_px=None if outline is None else turn.points_shown(outline),
+    )
+
+
+def _outline(detection: model.Detection, body: model.Body, camera: model.Camera) -> Floats:
+    """The outline (n, 2) that a detection means; a circle where the lens has none."""
+    center_px, radius_px = detection.center_px, detection.radius_px
+    radius_mm = body.radii[body.index(detection.ball)]
+    center = _place(center_px, radius_px, radius_mm, camera)
+    if center is not None and np.linalg.norm(center) > radius_mm:
+        outline = camera.outline(center, radius_mm)
+        if np.isfinite(outline).all():
+            return outline
+    angles = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    return center_px + radius_px * np.column_stack([np.cos(angles), np.sin(angles)])
 
 
 def _expectation(
@@ -199,7 +214,7 @@ def draw(seen: Iterable[SeenPicture], drawn: Iterable[Path]) -> None:
 
     for one, file in zip(seen, drawn, strict=False):
         with output(file, overwrite=True) as fresh:
-            write_outlines(read_picture(one.picture), one.detections, fresh)
+            write_outlines(one.shown(), one.detections, one.outlines_px, fresh)
 
 
 _PATCH_PX, _INSIDE = 3, 0.8
@@ -231,7 +246,7 @@ def write_sampled_body(
     if unknown := [ball for ball in clicks if ball not in body.names]:
         names = ", ".join(body.names)
         raise ConfigError(f"--sample {unknown[0]}: the body has no such ball, but {names}")
-    pixels, best = read_picture(seen.picture), {d.ball: d for d in reversed(seen.detections)}
+    pixels, best = seen.shown(), {d.ball: d for d in reversed(seen.detections)}
     found = {ball: sampled_color(pixels, ball, at) for ball, at in clicks.items()}
     for ball in outlined:
         if ball not in best:

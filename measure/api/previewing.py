@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from measure.api.detecting import Lens, LensOf
 from measure.api.folders import write_named
+from measure.api.lenses import Lens, LensOf
 from measure.api.profiles import build_detectors, load_profile
 from measure.api.recording import CaptureRequest
 from measure.arrays import Bytes

@@ -63,8 +63,10 @@ def detect(
 ) -> None:
     """Show what the detector sees in single pictures.
 
-    No recording is needed, and no calibration: an ordinary webcam's focal length is assumed. The
-    whole picture is searched, unless it is said where a ball is expected.
+    No recording is needed, and no calibration: the focal length is found from the outlines of the
+    balls, or else taken from the picture's Exif tags or assumed, and it is said which. The whole
+    picture is searched for balls of 7 px radius and more, unless it is said where a ball is
+    expected. Pixels are counted as a viewer shows the picture.
 
     Args:
         pictures: picture files of one camera.
@@ -98,10 +100,19 @@ def detect(
         console.print_text(f"body with the colours of {seen[0].picture.name}: {new}")
 
 
+_ASSUMED = {
+    api.FocalFrom.BALLS: "found from the outlines of the balls",
+    api.FocalFrom.TAGS: "from the picture's Exif tags",
+    api.FocalFrom.USUAL: "an ordinary webcam's, assumed: --focal-px or --calibration say better",
+}
+"""What is said of a focal length that was not given."""
+
+
 def _values(one: SeenPicture) -> dict[str, object]:
     keys = ("ball", "center_px", "radius_px", "covariance_px", "score", "color_match")
     found = [{key: getattr(d, key) for key in keys} for d in one.detections]
-    return {"picture": one.picture, "detections": found}
+    lens = {"focal_px": one.focal_px, "focal_from": one.focal_from}
+    return {"picture": one.picture, **lens, "turned": one.orientation.turns, "detections": found}
 
 
 def _print(seen: Sequence[SeenPicture]) -> None:
@@ -116,6 +127,14 @@ def _print(seen: Sequence[SeenPicture]) -> None:
     for one in seen:
         if not one.detections:
             console.print_text(
-                f"{one.picture}: no ball is seen: is its colour the one in the body file, and is "
-                "it larger than a dozen pixels?"
+                f"{one.picture}: no ball is seen: is its colour the one in the body file, and its "
+                "radius 7 px or more?"
+            )
+        if one.focal_from in _ASSUMED:
+            console.print_text(
+                f"{one.picture}: focal length {one.focal_px:.0f} px, {_ASSUMED[one.focal_from]}"
+            )
+        if one.orientation.turns:
+            console.print_text(
+                f"{one.picture}: turned as its tag asks; pixels are counted as a viewer shows it"
             )

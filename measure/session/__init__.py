@@ -25,18 +25,27 @@ from measure.session.opening import (
     session_lacks,
     session_truth,
 )
-from measure.session.pictures import decode_picture, is_complete_jpeg, read_picture
+from measure.session.orientation import Orientation
+from measure.session.pictures import (
+    PictureTags,
+    decode_picture,
+    is_complete_jpeg,
+    picture_bytes,
+    picture_tags,
+    read_picture,
+)
 from measure.session.session import Session, pair_nearest, seldom_paired
 from measure.session.streams import Stream
 from measure.session.trajectory import Trajectory, read_trajectory
 from measure.session.video_file import open_video_stream
 
 __all__ = [
-    "Calibration", "FileModel", "Length", "Name", "Position", "SafeName", "Session", "Stream",
-    "Trajectory", "check_bodies", "check_name", "check_overlap", "check_unit", "clock_values",
-    "damaged_frames", "decode_picture", "dump_toml", "holds_jpeg", "is_complete_jpeg", "load_toml",
-    "matching_files", "open_session", "open_streams", "open_video_stream", "pair_nearest",
-    "read_bodies", "read_body", "read_calibration", "read_intrinsics", "read_picture",
-    "read_trajectory", "seldom_paired", "session_file", "session_lacks",
-    "session_truth", "write_bodies", "write_body", "write_calibration",
+    "Calibration", "FileModel", "Length", "Name", "Orientation", "PictureTags", "Position",
+    "SafeName", "Session", "Stream", "Trajectory", "check_bodies", "check_name", "check_overlap",
+    "check_unit", "clock_values", "damaged_frames", "decode_picture", "dump_toml", "holds_jpeg",
+    "is_complete_jpeg", "load_toml", "matching_files", "open_session", "open_streams",
+    "open_video_stream", "pair_nearest", "picture_bytes", "picture_tags", "read_bodies",
+    "read_body", "read_calibration", "read_intrinsics", "read_picture", "read_trajectory",
+    "seldom_paired", "session_file", "session_lacks", "session_truth", "write_bodies", "write_body",
+    "write_calibration",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -48,6 +48,16 @@ _READERS = (
 _TILE_WIDTH, _TILE_LENGTH = 322, 323  # Tags of TIFF 6.0
 _ORIENTATION, _UPRIGHT = 0x0112, (0, 1)
 """Tag of Exif, and its values for pictures that are stored as they are shown."""
+_PHOTOGRAPH, _FOCAL_35MM = 0x8769, 0xA405
+"""Tag of Exif's part on how a photograph was taken, and in that of the focal length of a lens with
+the same angle of view, by the diagonal, on film of 36 x 24 mm."""
+
+
+class PictureTags(NamedTuple):
+    """What the tags of a picture say of it."""
+
+    orientation: int = 1  # how viewers turn it, see `Orientation`
+    focal_35mm: float | None = None  # equivalent focal length in mm on film of 36 x 24 mm
 
 
 def read_picture(path: Path | str) -> Bytes:
@@ -104,8 +114,19 @@ def picture_size_wh(data: bytes) -> tuple[int, int] | None:
 
 def is_turned(data: bytes) -> bool:
     """Whether a tag asks viewers to turn or mirror a picture."""
-    header = _header(data)
-    return header is not None and header.getexif().get(_ORIENTATION, 1) not in _UPRIGHT
+    return picture_tags(data).orientation not in _UPRIGHT
+
+
+def picture_tags(data: bytes) -> PictureTags:
+    """What a picture's Exif tags say, as far as they can be read."""
+    try:
+        header = _header(data)
+        tags = {} if header is None else header.getexif()
+        lens = {} if header is None else header.getexif().get_ifd(_PHOTOGRAPH)
+        focal_mm = float(lens.get(_FOCAL_35MM, 0))
+        return PictureTags(int(tags.get(_ORIENTATION, 1)), focal_mm if focal_mm > 0 else None)
+    except Exception:  # Pillow raises many kinds; all mean broken tags
+        return PictureTags()
 
 
 def _header(data: bytes) -> ImageFile | None:

@@ -70,11 +70,17 @@ def write_mosaic(session: Session, runs: Sequence[Run], index: int, path: Path) 
     _write(mosaic, path, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 
-def write_outlines(pixels: Bytes, detections: Sequence[Detection], path: Path) -> None:
-    """Write a BGR picture (h, w, 3) with circle, centre, name and score of every detection."""
+def write_outlines(
+    pixels: Bytes, detections: Sequence[Detection], outlines_px: Sequence[Floats], path: Path
+) -> None:
+    """Write a BGR picture (h, w, 3) with outline, centre, name and score of every detection.
+
+    Args:
+        outlines_px: points (n, 2) around each detection.
+    """
     picture = pixels.copy()
-    for detection in reversed(detections):  # the best on top
-        _draw_outline(picture, detection)
+    for detection, outline in reversed(list(zip(detections, outlines_px, strict=True))):
+        _draw_outline(picture, detection, outline)  # the best on top
     _write(picture, path)
 
 
@@ -128,18 +134,18 @@ def _lines(picture: Bytes, points: Floats, colour: tuple[int, int, int], thickne
     cv2.polylines(picture, [fixed], False, colour, thickness, cv2.LINE_AA, _FRACTION_BITS)
 
 
-def _draw_outline(picture: Bytes, detection: Detection) -> None:
+def _draw_outline(picture: Bytes, detection: Detection, outline: Floats) -> None:
     u, v = detection.center_px.tolist()
-    at = round(u * 2**_FRACTION_BITS), round(v * 2**_FRACTION_BITS)
-    radius = round(detection.radius_px * 2**_FRACTION_BITS)
     size = max(picture.shape[0] / 720, 0.4)
+    closed = np.vstack([outline, outline[:1]])
+    text = f"{detection.ball} {detection.score:.2f}"
+    corner = round(u + 0.75 * detection.radius_px), round(v - 0.75 * detection.radius_px)
     for color, width in ((_DARK, 3), (_FOUND, 1)):
-        cv2.circle(picture, at, radius, color, width, cv2.LINE_AA, _FRACTION_BITS)
+        thick = max(1, round(width * size))
+        _lines(picture, closed, color, thick)
         cv2.drawMarker(
-            picture, (round(u), round(v)), color, cv2.MARKER_CROSS, round(8 * size), width
+            picture, (round(u), round(v)), color, cv2.MARKER_CROSS, round(8 * size), thick
         )
-        text = f"{detection.ball} {detection.score:.2f}"
-        corner = round(u + 0.75 * detection.radius_px), round(v - 0.75 * detection.radius_px)
         cv2.putText(
-            picture, text, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * size, color, width, cv2.LINE_AA
+            picture, text, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * size, color, thick, cv2.LINE_AA
         )

@@ -19,10 +19,14 @@ def picture(still: Path) -> Path:
     return still / "cam0" / "000000.jpg"
 
 
-def seen(capsys, *words: object) -> list[dict]:
+def seen_picture(capsys, *words: object) -> dict:
     assert main(["detect", *map(str, words), "--json"]) == 0
     (one,) = json.loads(capsys.readouterr().out)["pictures"]
-    return one["detections"]
+    return one
+
+
+def seen(capsys, *words: object) -> list[dict]:
+    return seen_picture(capsys, *words)["detections"]
 
 
 def truth_px(still: Path) -> dict[str, tuple[np.ndarray, float]]:

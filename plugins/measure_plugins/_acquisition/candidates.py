@@ -28,8 +28,8 @@ from measure_plugins._acquisition.small import MIN_RADIUS_PX, find_small_circles
 
 _REDUCED_WIDTH = 320
 _MIN_RADIUS, _MAX_RADIUS_SHARE = 2.5, 0.35
-"""Smallest radius searched for in the reduced picture, in its pixels, and the largest, as a share of
-the picture's height."""
+"""Smallest radius searched for in the reduced picture, in its pixels, and the largest, as a share
+of the picture's height."""
 _MIN_SEEN, _MIN_FILLED = 0.16, 0.3
 """Least share of a ball's outline in sight, and of a circle's inside that has the ball's colour."""
 _MAX_CANDIDATES = 10  # Per ball and picture
@@ -76,8 +76,8 @@ def find_circles(pixels: Bytes, colors: Sequence[BallColor]) -> FoundCircles:
         chosen = np.uint8(sum(1 << i for i in dark))
         table = (table & ~chosen) | (with_dark & chosen)
         table.setflags(write=False)
-    limits = (_MIN_SEEN, _MIN_FILLED, _MAX_CANDIDATES)
-    more += zip(owners, find_small_circles(pixels, table, range(len(owners)), step, limits))
+    small = find_small_circles(pixels, table, range(len(owners)), step, _MAX_CANDIDATES)
+    more += zip(owners, small, strict=True)
     for i, others in more:
         found[i] = distinct(np.concatenate([found[i], others]))[:_MAX_CANDIDATES]
     return FoundCircles(found[:count], with_dark)

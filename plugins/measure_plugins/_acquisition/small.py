@@ -21,7 +21,7 @@ from measure_plugins._acquisition.color_table import classify
 from measure_plugins._acquisition.patches import borders, framed, majority
 
 MIN_RADIUS_PX = 6.0
-"""Smallest outline radius searched for: rough circles of balls of 7 px are up to a pixel smaller."""
+"""Smallest outline radius searched for: rough circles of balls of 7 px are up to 1 px smaller."""
 _LATTICE_PX = 6
 """Distance of the pixels looked at: four or more of them lie on any disc of 7 px radius."""
 _MIN_PIXELS = 4  # Fewest pixels of a patch in the lattice
@@ -29,13 +29,15 @@ _MIN_FULL, _MIN_ASPECT = 0.5, 0.4
 """Least share of a patch's bounding box that it fills, and of the box's longer side that is its
 shorter one: a disc fills 0.79, and so does one that is half hidden."""
 _LARGEST = 20
-"""Largest patch, in pixels of the reduced picture: there, whole balls are found from a diameter of 7
-on, and half hidden ones from 20 on."""
+"""Largest patch, in pixels of the reduced picture: there, whole balls are found from a diameter of
+7 on, and half hidden ones from 20 on."""
 _MOST_PATCHES = 64  # Of a colour, the largest ones: more are noise, or texture
 _STEP = 2  # By how much what is laid side by side is reduced
 _PATCH, _MARGIN = 36, 5
 """Largest side of a patch then, and how much is cut out round it, by which circles are judged."""
 _SIDE_PX = _STEP * (_PATCH + 2 * _MARGIN)
+_MIN_SEEN, _MIN_FILLED = 0.4, 0.4
+"""Least share of a circle in sight, and of its inside that has the colour: of half a ball."""
 _BESIDE = 0.5  # How far outside of its patch a circle's centre may be, in radii: hidden balls
 
 
@@ -48,7 +50,7 @@ class _Patches(NamedTuple):
 
 
 def find_small_circles(
-    pixels: Bytes, table: Bytes, bits: Sequence[int], step: int, limits: tuple[float, float, int]
+    pixels: Bytes, table: Bytes, bits: Sequence[int], step: int, most: int
 ) -> list[Floats]:
     """Circles of some colours that are too small for the picture reduced by `step`, best first.
 
@@ -56,7 +58,8 @@ def find_small_circles(
         pixels: BGR (h, w, 3), contiguous.
         table: of colours, see `color_table`.
         bits: their numbers in it.
-        limits: least share of a circle seen, and of its inside filled, and most circles of each.
+        step: reduction, see `classify`.
+        most: circles of each.
 
     Returns:
         (k, 6) for each, see `FoundCircles`.
@@ -74,7 +77,7 @@ def find_small_circles(
     seen, _ = classify(sheet, table, table, _STEP)
     seen, per_row = majority(seen), _SIDE_PX // _STEP
     return [
-        _circles_in(seen[per_row * first : per_row * last], bit, some, columns, limits)
+        _circles_in(seen[per_row * first : per_row * last], bit, some, columns, most)
         for bit, some, (first, last) in zip(bits, patches, pairwise(rows.tolist()), strict=True)
     ]
 
@@ -116,7 +119,6 @@ def _origins(patches: _Patches) -> Ints:
 
 def _lay_side_by_side(pixels: Bytes, patches: _Patches, sheet: Bytes, columns: int) -> None:
     """Fill squares of a sheet, row by row, with the surroundings of patches."""
-    height, width = pixels.shape[:2]
     origins, scales = _origins(patches).tolist(), patches.scale.tolist()
     for k, ((x, y), scale) in enumerate(zip(origins, scales, strict=True)):
         left, top = max(x, 0), max(y, 0)
@@ -129,14 +131,13 @@ def _lay_side_by_side(pixels: Bytes, patches: _Patches, sheet: Bytes, columns: i
         sheet[v : v + some.shape[0], u : u + some.shape[1]] = some
 
 
-def _circles_in(
-    seen: Bytes, bit: int, patches: _Patches, columns: int, limits: tuple[float, float, int]
-) -> Floats:
+def _circles_in(seen: Bytes, bit: int, patches: _Patches, columns: int, most: int) -> Floats:
     """Circles (k, 6) of a colour in patches that are laid side by side and reduced."""
     if len(seen) == 0:
         return np.empty((0, 6))
+    radii = (MIN_RADIUS_PX / _STEP, float(_PATCH))
     circles, _ = circles_of_each(
-        seen, np.array([bit], np.int64), (MIN_RADIUS_PX / _STEP, float(_PATCH)), *limits
+        seen, np.array([bit], np.int64), radii, _MIN_SEEN, _MIN_FILLED, most
     )
     cell = _SIDE_PX // _STEP
     column, row = np.maximum(circles[:, :2] // cell, 0).astype(np.int64).T

@@ -39,9 +39,10 @@ _WHOLE_MATCH = 0.75
 """Share of a ball's inside with its colour below which its score is lower: balls of two colours are
 not supported, and half-hidden ones are less sure."""
 
-_SMALL_PX, _SMALL_SCORE = 10.0, 0.7
-"""Radius below which what a search finds needs a higher score: of the few pixels round such a small
-outline most edges of anything agree. Balls of 7 px score 0.8 and more, print and bars 0.7."""
+_SMALL_PX, _LEAST_SCORES = (7.0, 14.0), (0.8, 0.45)
+"""Radii between which the score that a search asks for falls, and from what to what: of the few
+pixels round a small outline many edges of anything agree. Balls of 7 px score 0.86 and more, print
+and specks of wood 0.5 to 0.8."""
 
 
 class OutlineDetector(SelfCalibratingDetector):
@@ -291,8 +292,9 @@ def _is_sure(searched: Detection) -> bool:
     """Whether what a search has found may be a ball: small things have to look more like one."""
     from measure_plugins._acquisition import MIN_RADIUS_PX
 
-    least = _SMALL_SCORE if searched.radius_px < _SMALL_PX else 0.0
-    return searched.radius_px >= MIN_RADIUS_PX and searched.score >= least
+    radius_px = searched.radius_px
+    least = np.interp(radius_px, _SMALL_PX, _LEAST_SCORES) if radius_px < _SMALL_PX[1] else 0.0
+    return bool(MIN_RADIUS_PX <= radius_px and searched.score >= least)
 
 
 def _cones(rows: Floats) -> list[tuple[Floats, float, float]]:
