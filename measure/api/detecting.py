@@ -14,7 +14,7 @@ from measure import model
 from measure.api.lenses import FocalFrom, Lens, LensOf, camera_by_balls
 from measure.api.outputs import check_apart, check_file, output
 from measure.api.profiles import build_detectors
-from measure.arrays import Bytes, Floats
+from measure.arrays import Bools, Bytes, Floats
 from measure.errors import ConfigError
 from measure.estimation.lateral_color import with_lateral_color
 from measure.host import Detector, Registry
@@ -223,6 +223,12 @@ _SIMILAR_HUE, _SIMILAR_LEVEL = 8, 50
 """By how much pixels of a ball may exceed the range of the patch, see `BallColor.from_samples`."""
 _FEWEST, _MOST = 30, 24
 """Fewest pixels of a ball that are sampled, and how many samples are written."""
+_ROUND_SHARE = 0.65
+"""Share of the smallest circle about it that a ball-like patch fills: a square fills 0.64, a ball
+with highlight and shade 0.68 to 0.95."""
+_LEAST_CHROMA = 20
+"""Median difference between the channels (of 255) below which noise makes the hue: balls have 35
+and more, black cloth has 5."""
 
 
 def parse_click(text: str) -> tuple[str, tuple[float, float]]:
@@ -247,7 +253,9 @@ def write_sampled_body(
         names = ", ".join(body.names)
         raise ConfigError(f"--sample {unknown[0]}: the body has no such ball, but {names}")
     pixels, best = seen.shown(), {d.ball: d for d in reversed(seen.detections)}
-    found = {ball: sampled_color(pixels, ball, at) for ball, at in clicks.items()}
+    found = {
+        ball: sampled_color(pixels, body.balls[body.index(ball)], at) for ball, at in clicks.items()
+    }
     for ball in outlined:
         if ball not in best:
             raise ConfigError(f"{seen.picture}: {ball} is not seen: give --sample {ball}=U,V")
@@ -261,20 +269,42 @@ Samples = Bytes
 """Colours that stand for a ball, BGR (n, 3)."""
 
 
-def sampled_color(pixels: Bytes, ball: str, at: tuple[float, float]) -> Samples:
-    """Samples of a click's colour: of the picture's pixels (h, w, 3) that are connected to it."""
+def sampled_color(pixels: Bytes, ball: model.Ball, at: tuple[float, float]) -> Samples:
+    """Samples of a click's colour: of the picture's pixels (h, w, 3) that are connected to it.
+
+    Raises:
+        ConfigError: nothing there is as round as a ball; or it has no colour, where the ball has.
+    """
     u, v = round(at[0]), round(at[1])
+    where = f"--sample {ball.name}={u},{v}"
     height, width = pixels.shape[:2]
     if not (0 <= u < width and 0 <= v < height):
-        raise ConfigError(f"--sample {ball}={u},{v}: lies outside the picture of {width}x{height}")
+        raise ConfigError(f"{where}: lies outside the picture of {width}x{height}")
     rows = slice(max(v - _PATCH_PX, 0), v + _PATCH_PX + 1)
     patch = pixels[rows, max(u - _PATCH_PX, 0) : u + _PATCH_PX + 1].reshape(-1, 3)
     mask = model.BallColor.from_samples(patch, _SIMILAR_HUE, _SIMILAR_LEVEL).mask(pixels)
     _, labels = cv2.connectedComponents(mask)
-    found = pixels[(labels == labels[v, u]) & (mask > 0)]
-    if len(found) < _FEWEST:
-        raise ConfigError(f"--sample {ball}={u},{v}: shows no ball of one colour: click elsewhere")
-    return _representative(np.asarray(found))
+    inside = (labels == labels[v, u]) & (mask > 0)
+    found = np.asarray(pixels[inside])
+    missing = [] if _is_round(inside) else ["no ball-like patch"]
+    chroma = np.median(np.ptp(found.astype(int), axis=1)) if len(found) else 0.0
+    if chroma < _LEAST_CHROMA and not ball.color.is_colorless:
+        missing.append("no colour")
+    if missing:
+        raise ConfigError(f"{where}: {', '.join(missing)} here: click a ball that is seen whole")
+    return _representative(found)
+
+
+def _is_round(inside: Bools) -> bool:
+    """Whether a connected patch, its holes filled, is as round as a ball and large enough."""
+    if np.count_nonzero(inside) < _FEWEST:
+        return False
+    outlines, _ = cv2.findContours(
+        inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
+    (outline,) = outlines
+    _, radius_px = cv2.minEnclosingCircle(outline)
+    return bool(cv2.contourArea(outline) >= _ROUND_SHARE * np.pi * radius_px**2)
 
 
 def _representative(some: Bytes) -> Bytes:

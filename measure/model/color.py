@@ -58,6 +58,14 @@ class BallColor:
     name: str  # as the body file gives it ("green"), or "samples" / "range"
     ranges: tuple[ColorRange, ...]  # the boxes; a pixel matches if it is in one of them
 
+    @property
+    def is_colorless(self) -> bool:
+        """Whether white, grey or black may match: a range of all hues, without any saturation."""
+        return any(
+            r.space == "lab" or (r.low[:2] == (0, 0) and r.high[0] == _HUE_PERIOD - 1)
+            for r in self.ranges
+        )
+
     def mask(self, bgr: Bytes) -> Bytes:
         """255 where pixels of a BGR image (h, w, 3) match."""
         return self.mask_converted(ConvertedImage(bgr))

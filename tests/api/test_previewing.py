@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 
 import cv2
@@ -130,3 +131,37 @@ def test_files_are_known_by_what_they_hold(still, tmp_path):
     assert found.bodies == (tmp_path / "sub" / "body.toml",)
     assert found.boards == ()
     assert api.next_free(tmp_path, "run") == "run-1"
+
+
+def test_originals_come_before_the_copies_in_recordings(still, tmp_path):
+    """However old they are; and learnt colours are no measured body."""
+    (tmp_path / "session-2").mkdir()
+    for name in ("calibration.toml", "body.toml", "session.toml"):
+        (tmp_path / "session-2" / name).write_bytes((still / name).read_bytes())
+    for name, source in (
+        ("calibration.toml", "calibration.toml"),
+        ("body-1.toml", "body.toml"),
+        ("colours.toml", "body.toml"),
+    ):
+        (tmp_path / name).write_bytes((still / source).read_bytes())
+        os.utime(tmp_path / name, (1e9, 1e9))
+    found = api.contents_of(tmp_path)
+    names = [str(file.relative_to(tmp_path)) for file in found.calibrations + found.bodies]
+    assert names == [
+        "calibration.toml",
+        "session-2/calibration.toml",
+        "body-1.toml",
+        "session-2/body.toml",
+    ]
+    said = [api.described(file, tmp_path) for file in found.calibrations]
+    assert said[0].startswith("calibration.toml · 09 Sep")
+    assert said[1].endswith(" · a copy")
+
+
+def test_colours_that_were_learnt_are_read_again(still, tmp_path, rng):
+    given = rng.integers(0, 255, (24, 3), dtype=np.uint8)
+    api.write_body(tmp_path / "colours.toml", api.read_body(still / "body.toml"), {"red": given})
+    (name,) = found = api.learnt_colors(tmp_path / "colours.toml")
+    assert name == "red"
+    assert np.array_equal(found[name], given)
+    assert api.learnt_colors(tmp_path / "none.toml") == {}

@@ -90,6 +90,34 @@ def test_a_body_is_written_with_the_colours_of_a_picture(still, picture, tmp_pat
     assert new.read_bytes() == text
 
 
+def test_no_colour_is_learnt_where_no_ball_is(still, picture, tmp_path, capsys):
+    """Black cloth, a stripe, a square: not of a ball; white is no colour of a yellow one."""
+    black = np.full((240, 320, 3), (16, 20, 21), np.uint8)
+    stripe, disc, white = black.copy(), black.copy(), black.copy()
+    stripe[100:140], white[:] = (30, 30, 200), (20, 20, 20)
+    cv2.circle(disc, (160, 120), 30, (30, 30, 200), -1)
+    cv2.circle(white, (160, 120), 30, (230, 230, 230), -1)
+    said = {
+        "black": (black, "no ball-like patch, no colour here"),
+        "stripe": (stripe, "no ball-like patch here"),
+        "white": (white, "no colour here"),
+        "disc": (disc, ""),
+    }
+    for name, (pixels, refusal) in said.items():
+        given, new = tmp_path / f"{name}.png", tmp_path / f"{name}.toml"
+        cv2.imwrite(str(given), pixels)
+        words = (given, "--body", still / "body.toml", "--sample", "yellow=160,120")
+        if refusal:
+            assert refusal in complaint(capsys, "detect", *words, "--write-body", new)
+        else:
+            seen(capsys, *words, "--write-body", new)
+        assert new.exists() != bool(refusal)
+    body = (still / "body.toml").read_text("utf-8").replace('"yellow"', '"white"')
+    (tmp_path / "whites.toml").write_text(body, "utf-8")
+    words = (tmp_path / "white.png", "--body", tmp_path / "whites.toml")
+    seen(capsys, *words, "--sample", "white=160,120", "--write-body", tmp_path / "new.toml")
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
