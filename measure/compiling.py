@@ -11,6 +11,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
@@ -175,6 +176,7 @@ def _tie(kernel: Any, stamp: str) -> None:
     if kept is not None:
         kept._version = f"{kept._version} {stamp}"  # noqa: SLF001
         cache.load_overload = _same_types_only(cache.load_overload)
+        cache.save_overload = _if_it_can_be(cache.save_overload)
         if not numba.config.CACHE_DIR or is_kept_for_now():
             _read_beside_source(kept, Path(_file(kernel.__module__)).parent / "__pycache__")
 
@@ -185,6 +187,16 @@ def _read_beside_source(kept: Any, folder: Path) -> None:
     beside._cache_path = str(folder)  # noqa: SLF001
     beside._index_path = str(folder / kept._index_name)  # noqa: SLF001
     kept.load = lambda key: own(key) or beside.load(key)
+
+
+def _if_it_can_be(save: Callable[..., None]) -> Callable[..., None]:
+    """A kernel's `save_overload`, that costs time alone where nothing can be written."""
+
+    def saved(*given: Any) -> None:
+        with suppress(OSError):
+            save(*given)
+
+    return saved
 
 
 def _same_types_only(load: Callable[..., Any]) -> Callable[..., Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import math
 import multiprocessing
 import os
 import signal
@@ -45,6 +46,8 @@ class Terminated(KeyboardInterrupt):
 
 _ENDINGS = {signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
 """By which batch systems, `timeout`, service managers and closed terminals end a process."""
+_TWICE_WITHIN_S, _AGAIN_AFTER_S = 2.0, 0.02
+"""Signals within the one mean the same; after the other a destructor has ended."""
 _UNWIND_S = 10.0
 """How long a worker may take to give up what it holds: a few frame sets, or a compilation."""
 
@@ -53,24 +56,38 @@ _UNWIND_S = 10.0
 def unwound_by_signals() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the block as Ctrl-C does: locks and scratch folders are given up.
 
-    It raises `Terminated`, once: `timeout` sends its signal twice. Whoever ignores one of them
-    (`nohup`), or has a handler of his own, keeps that.
+    They raise `Terminated`, once in a while: `timeout` sends its signal twice. Whoever ignores one
+    of them (`nohup`), or has a handler of his own, keeps that.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     ours = [number for number in _ENDINGS if signal.getsignal(number) is signal.SIG_DFL]
+    raised_s, hook = -math.inf, sys.unraisablehook
 
     def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
-        for each in ours:
-            signal.signal(each, signal.SIG_IGN)
-        raise Terminated(number)
+        nonlocal raised_s
+        if time.monotonic() - raised_s > _TWICE_WITHIN_S:
+            raised_s = time.monotonic()
+            raise Terminated(number)
+
+    def on_swallowed(swallowed: sys.UnraisableHookArgs) -> None:
+        """Python swallows what is raised while it destroys an object: raise it again later."""
+        nonlocal raised_s
+        if isinstance(swallowed.exc_value, Terminated):
+            raised_s = -math.inf
+            again = os.getpid(), swallowed.exc_value.signal
+            threading.Timer(_AGAIN_AFTER_S, os.kill, again).start()
+        else:
+            hook(swallowed)
 
     for number in ours:
         signal.signal(number, end)
+    sys.unraisablehook = on_swallowed
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         for number in ours:
             signal.signal(number, signal.SIG_DFL)
 
@@ -132,6 +149,16 @@ def _wait_for_parent() -> None:
 def usable_cores() -> int:
     """Those it is held to, where the system can tell; else all."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def largest_file_bytes() -> int:
+    """How large a file of this process may be (`ulimit -f`)."""
+    if sys.platform == "win32":
+        return sys.maxsize
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    return sys.maxsize if limit == resource.RLIM_INFINITY else limit
 
 
 def share_heaps() -> None:

@@ -18,6 +18,7 @@ from filelock import lock_descriptor
 
 from measure.errors import ConfigError, MeasureError
 from measure.reading import kind_of_file
+from measure.results.folder import why_unwritable
 
 _LOCK = ".lock"
 _FAULTS = {
@@ -54,7 +55,8 @@ def check_file(out: Path, overwrite: bool, read: Iterable[Path] = ()) -> None:
     if not there.is_dir():
         raise ConfigError(f"{out}: cannot be written: {there} is no folder")
     if not os.access(out if out.exists() else there, os.W_OK):
-        raise ConfigError(f"{out}: cannot be written: permission denied")
+        why = os.strerror(why_unwritable(there))
+        raise ConfigError(f"{out}: cannot be written: {why[:1].lower()}{why[1:]}")
 
 
 def check_apart(*outs: Path) -> None:

@@ -101,7 +101,9 @@ def run(
         # folder is made, or an earlier run lost.
         first = list(islice(measured, 1))
         writer.begin()
-        log = stack.enter_context(_log(session, out, options, writer.kept))
+        log = stack.enter_context(
+            _log(session, out, replace(options, frame_sets=total), writer.kept)
+        )
         for frame_set, measurements in chain(first, measured):
             writer.append(*measurements)
             log.add(measurements, frame_set)
@@ -217,7 +219,8 @@ def _mend_recording(
     was = "damaged" if path.exists() else "not there"
     reel = Reel(read_runs(out))
     count = len(reel.times_s)
-    with _log(session, out, replace(options, image_every=0, viewer=None), count) as log:
+    options = replace(options, image_every=0, viewer=None, frame_sets=count)
+    with _log(session, out, options, count) as log:
         for number in range(count):
             log.add(reel.measurements(number))
         log.close()

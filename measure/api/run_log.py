@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Self
 from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera, FrameSet
+from measure.processes import largest_file_bytes
 from measure.results import digest
 from measure.results.journal import unfinished
 from measure.session import Trajectory
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
     from measure.viewing.recording import PassedVideo, RunRecording
 
 RESERVED_BYTES = 32_000_000
-"""Least free space on the disk to go on: more than the recording buffers at a time."""
+"""Least room on the disk to go on: more than the recording buffers at a time."""
+LEAST_BYTES, BYTES_A_VIEW = 1_500_000, 4_000
+"""What a short recording without pictures needs: what stands at its head, and its tables; and for
+each ball in each camera of a frame set, of which 300 of four cameras and three balls take 10 MB."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,7 @@ class LogOptions:
     image_every: int = 0  # pictures of every n-th frame set go into `run.rrd`; 0 for none
     recording: bool = True  # whether to write `run.rrd` at all
     viewer: str | None = None  # address of a running viewer to send to while measuring
+    frame_sets: int | None = None  # how many are to come, where that is known
 
     @property
     def wanted(self) -> bool:
@@ -63,12 +68,14 @@ class RunLog:
     ) -> None:
         self._path = out / "run.rrd" if options.recording else None
         self._kept, self._problem = kept, ""
+        self._left = None if options.image_every else options.frame_sets
+        self._views = len(cameras) * sum(len(body.balls) for body in bodies)
         self._log: RunRecording | None = None
         if not options.wanted:
             return
         from measure.viewing.recording import RunRecording, open_recording
 
-        self._check_free_space()
+        self._check_room()
         run_id = digest([(out / "run.toml").read_bytes()])
         file = unfinished(self._path) if self._path and kept else self._path
         stream = open_recording(
@@ -111,24 +118,37 @@ class RunLog:
                 # Rerun's writer thread died, most often of a full disk.
                 self._problem = str(problem)
 
-    def _check_free_space(self) -> None:
-        """Stop while the tables still fit: Rerun's writer may hang when its disk is full."""
+    def _check_room(self) -> None:
+        """Stop while the tables still fit: Rerun's writer may hang when it cannot write on."""
         if self._path is None:
             return
-        free = shutil.disk_usage(self._path.parent).free
-        if free < RESERVED_BYTES:
-            raise RunError(
-                f"{self._path}: the disk is full but for {free // 1000} kB; everything measured "
-                "before is kept: free some space and go on with --resume, or leave the recording "
-                "out with --no-recording"
-            )
+        needed = RESERVED_BYTES
+        if self._left is not None:
+            needed = min(needed, LEAST_BYTES + self._left * self._views * BYTES_A_VIEW)
+        free, largest = shutil.disk_usage(self._path.parent).free, largest_file_bytes()
+        if free < needed:
+            why = f"the disk is full but for {free // 1000} kB"
+        elif largest < needed + max(map(_size, (self._path, unfinished(self._path)))):
+            why = f"no file may be larger than {largest // 1000} kB (`ulimit -f`)"
+        else:
+            return
+        raise RunError(
+            f"{self._path}: {why}; everything measured before is kept: mend that and go on with "
+            "--resume, or leave the recording out with --no-recording"
+        )
 
     def add(self, measurements: Sequence[Measurement], frame_set: FrameSet | None = None) -> None:
         """Log a frame set, its pictures if it is their turn; RunError if the disk is full."""
         if self._log is None:
             return
-        self._check_free_space()
+        self._check_room()
         self._log.add(measurements, frame_set)
+        if self._left is not None:
+            self._left = max(self._left - 1, 0)
         if self._path is not None and measurements[0].index + 1 == self._kept:
             self._log.flush()
             unfinished(self._path).replace(self._path)
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0

@@ -67,6 +67,8 @@ class FolderLock:
             except OSError as error:
                 os.close(descriptor)
                 if error.errno in _NO_LOCKS:
+                    with suppress(OSError):
+                        self._path.unlink()
                     raise RunError(
                         f"{self._path.parent}: its file system cannot lock files "
                         f"({error.strerror}), so that a second run could get in between: choose "
@@ -133,7 +135,7 @@ def refuse_folder(folder: Path, resume: bool | None, overwrite: bool) -> None:
         raise RunError(f"{folder} is a file: choose a new folder with --out")
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
-        number = errno.EACCES if there.is_dir() else errno.ENOTDIR
+        number = why_unwritable(there) if there.is_dir() else errno.ENOTDIR
         raise OSError(number, os.strerror(number))
     if (folder / "run.toml").exists():
         if not (resume or overwrite):
@@ -142,6 +144,12 @@ def refuse_folder(folder: Path, resume: bool | None, overwrite: bool) -> None:
     elif folder.exists() and not {file.name for file in folder.iterdir()} <= _BEFORE_A_RUN:
         raise RunError(f"{folder} holds files but no run: choose a new folder with --out")
     _refuse_links(folder)
+
+
+def why_unwritable(place: Path) -> int:
+    """The number of the error (`errno`) of writing where that is not allowed."""
+    read_only = hasattr(os, "statvfs") and os.statvfs(place).f_flag & os.ST_RDONLY
+    return errno.EROFS if read_only else errno.EACCES
 
 
 def _refuse_links(folder: Path) -> None:

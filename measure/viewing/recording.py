@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -71,6 +72,9 @@ HELD_SETS = 120
 PERIOD_S, WORTH_SENDING = 2.0, 30
 """So many are not held back longer: what a kill may cost. Fewer at a time would swell the file."""
 LIVE_PERIOD_S = 0.2  # Where somebody watches nothing is held back longer, be it only one frame set
+_WRITTEN_WITHIN_S = 60.0
+"""How long what is sent may take to be written. A writer that died while it was asked says nothing,
+and Rerun would wait for ever: a full disk, or a file as large as it may be."""
 _LEVELS = {Status.OK: "INFO", Status.FLAGGED: "WARN", Status.LOST: "ERROR", Status.SKIPPED: "WARN"}
 
 
@@ -118,14 +122,20 @@ class RunRecording:
         self.close()
 
     def close(self) -> None:
-        """Send what is held back and close the file."""
-        self.flush()
+        """Send what is held back and close the file; RuntimeError: it cannot be written."""
+        try:
+            self.flush()
+        except RuntimeError:
+            # Where its writer has died, Rerun waits for it: when it closes, and when Python ends.
+            rr.unregister_shutdown()
+            threading.Thread(target=self._stream.disconnect, daemon=True).start()
+            raise
         self._stream.disconnect()
 
     def flush(self) -> None:
-        """Send what is held back."""
+        """Send what is held back; RuntimeError as `close`."""
         self._send()
-        self._stream.flush()
+        self._stream.flush(timeout_sec=_WRITTEN_WITHIN_S)
 
     def add(self, measured: Sequence[Measurement], frame_set: FrameSet | None = None) -> None:
         """Log a measurement of each body, and the images of `frame_set`."""

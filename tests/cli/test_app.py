@@ -11,6 +11,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -79,6 +80,28 @@ def test_a_signal_ends_any_command_as_an_interruption_does(
     assert capsys.readouterr().err == f"measure: ended by {number.name}\n"
     assert given_up
     assert signal.getsignal(number) is signal.SIG_DFL
+
+
+def test_a_signal_that_comes_while_an_object_is_destroyed_ends_the_command_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is raised there Python swallows: a compilation destroys thousands."""
+
+    class Destroyed:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.001)
+
+    def work() -> None:
+        one = Destroyed()
+        del one
+        time.sleep(20)
+
+    _register(monkeypatch, work)
+    begun_s = time.monotonic()
+    assert main(["try"]) == 143
+    assert time.monotonic() - begun_s < 10
+    assert capsys.readouterr().err == "measure: ended by SIGTERM\n"
 
 
 def test_a_signal_that_is_ignored_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
