@@ -235,8 +235,8 @@ class Cameras:
                 self._note(name, refused=self._counts[name].refused + 1)
                 self._watch.fail(name, "its pictures are torn or out of order")
                 continue
-            own_clock = clock.runs or source.keeps_time
-            sd_s = 0.0 if own_clock else _arrival_sd_s(steps, time_s - last_s)
+            own_clock = source.keeps_time or (clock.runs and shot.device_s is not None)
+            sd_s = 0.0 if source.keeps_time else clock.sd_s
             steps.append(time_s - last_s)
             last_s = time_s
             if shot.jpeg is not None and shot.jpeg == last_jpeg:
@@ -279,16 +279,6 @@ class Cameras:
             f"{found}, and {wanted[0]}x{wanted[1]} px is what is calibrated: set the camera to "
             "that size, or calibrate it at this one"
         )
-
-
-def _arrival_sd_s(steps: Sequence[float], step_s: float) -> float:
-    """How far off the time of arrival of a picture may be: as they scatter, and as it is off."""
-    usual_s = _uneven_s(steps)
-    if math.isnan(usual_s) or math.isnan(step_s):
-        return 0.0
-    period_s = float(np.nanmedian(steps))
-    off_s = abs(step_s - max(round(step_s / period_s), 1) * period_s)
-    return math.hypot(usual_s / math.sqrt(2), off_s if off_s > usual_s else 0.0)
 
 
 def _uneven_s(steps: Sequence[float]) -> float:

@@ -89,3 +89,61 @@ def test_a_clock_that_runs_says_so_although_it_was_set_anew(taken_s):
     for t in taken_s:
         clock.time_s(t, t - 977.0 - 5000.0 * (t > 1050.0))
     assert clock.runs
+
+
+def in_order(arrived_s):
+    """A picture that is late holds up those that follow."""
+    return np.maximum.accumulate(arrived_s)
+
+
+def sds_s(taken_s, arrived_s, device_s):
+    """Errors of times, and the standard deviations that are stated of them."""
+    clock, out = DeviceClock(), []
+    for taken, arrived, device in zip(taken_s, arrived_s, device_s, strict=True):
+        out.append((clock.time_s(arrived, device) - taken, clock.sd_s))
+    return np.array(out).T
+
+
+@pytest.mark.parametrize("before", [0, 1000])
+def test_a_time_of_arrival_states_how_late_it_is(taken_s, rng, before):
+    """From the first on, where a camera sent stamps before; those are exact."""
+    arrived = in_order(taken_s + late_s(rng, len(taken_s)))
+    device = [taken - 977.0 if k < before else None for k, taken in enumerate(taken_s)]
+    off, sd = sds_s(taken_s, arrived, device)
+    assert np.all(sd[30:before] == 0)
+    later = slice(max(before, 32), None)
+    error = off[later] - 0.02  # what every picture takes at least
+    assert np.quantile(error / sd[later], 0.99) < 2
+    assert np.quantile(error / 0.007, 0.99) > 10  # the control: the median of how late they are
+    assert np.median(sd[later]) < 0.03  # no more than the RMS of that jitter
+    held_up = error > 0.1
+    assert np.quantile(sd[later][held_up] / error[held_up], 0.05) > 0.5
+
+
+def test_times_of_arrival_that_are_even_are_certain(taken_s, rng):
+    """Pictures missing now and then, and ours for a clock that is a little slow, change nothing."""
+    there = rng.random(len(taken_s)) > 0.1
+    taken = taken_s[there]
+    _, sd = sds_s(taken, 1.0002 * taken + 2e-4 * rng.random(len(taken)), [None] * len(taken))
+    after_gap = np.concatenate([[False], np.diff(taken) > 0.05])
+    assert sd[~after_gap].max() < 5e-4
+    assert sd.max() < 0.11  # what comes after a gap may have been held up: nobody can say yet
+
+
+def test_a_clock_that_is_set_anew_is_as_uncertain_as_the_arrival_it_is_tied_to(taken_s, rng):
+    arrived = in_order(taken_s + late_s(rng, len(taken_s)))
+    arrived = in_order(arrived + 0.08 * (np.arange(len(taken_s)) == 1500))
+    device = taken_s - 977.0
+    device[1500:] -= 5000.0
+    off, sd = sds_s(taken_s, arrived, device)
+    assert off[1500] - 0.02 > 0.08
+    assert sd[1500] > 0.07
+    assert sd[1600] < 1e-3
+    assert np.all(off[1500:] - 0.02 < 2 * sd[1500:] + 5e-3)
+
+
+def test_stamps_that_run_backwards_are_times_of_arrival_from_the_first_on(taken_s, rng):
+    arrived = in_order(taken_s + late_s(rng, len(taken_s)))
+    device = np.where(np.arange(len(taken_s)) < 1000, taken_s - 977.0, 5e3 - taken_s)
+    off, sd = sds_s(taken_s, arrived, device)
+    assert np.quantile((off - 0.02)[1000:] / np.maximum(sd[1000:], 2e-3), 0.99) < 2
