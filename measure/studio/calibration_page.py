@@ -22,6 +22,7 @@ from measure.studio.layout import (
     chosen,
     details,
     intro,
+    kept_so,
     link,
     page,
     put,
@@ -158,7 +159,7 @@ def add(bench: Bench) -> None:
             camera_pictures(bench, wave.seen_by, wave.drawn_over).classes("watched")
             body = _more(bench, wave)
         # Who waves looks at the pictures, from afar.
-        ui.timer(0.4, lambda: still.set_visibility(not wave.is_waved))
+        kept_so(0.4, lambda: still.set_visibility(not wave.is_waved))
 
 
 def _more(bench: Bench, wave: _Wave) -> ui.select:
@@ -198,7 +199,7 @@ def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> Non
         shown.set_visibility(wave.is_waved)
         bar.value = wave.share
 
-    ui.timer(0.4, show)
+    kept_so(0.4, show)
 
 
 def _judgement(bench: Bench, wave: _Wave) -> None:
@@ -219,7 +220,7 @@ def _judgement(bench: Bench, wave: _Wave) -> None:
             put(headline, "good", verdict.trustworthy)
             folded.text = f"{len(_findings(wave.result, notes=True))} things noticed besides"
 
-    ui.timer(0.5, show)
+    kept_so(0.5, show)
 
 
 def _headline(verdict: api.Verdict) -> str:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar
+from urllib.parse import quote
 
 from nicegui import run, ui
 
@@ -50,7 +51,7 @@ def page(bench: Bench, path: str) -> Iterator[None]:
             put(onward, "primary", done[here])
             put(body, "is-done", done[here] and not bench.busy)
 
-    ui.timer(1.0, tick)
+    kept_so(1.0, tick)
 
 
 def _step_link(number: int, here: int) -> ui.link:
@@ -92,7 +93,7 @@ def _job_line(bench: Bench) -> None:
         bar.value = share or 0.0
         stop.set_visibility(bench.busy)
 
-    ui.timer(0.3, show)
+    kept_so(0.3, show)
 
 
 def intro(sentence: str, drawing: str = "") -> None:
@@ -121,7 +122,7 @@ def told(text: Callable[[], str], kind: str = "lines", mark: str = "") -> ui.lab
         label.set_text(said := text())
         label.set_visibility(bool(said))
 
-    ui.timer(0.4, show)
+    kept_so(0.4, show)
     return label
 
 
@@ -193,11 +194,13 @@ def link(text: str, bench: Bench, file: Callable[[], Path | None]) -> None:
 
     def show() -> None:
         there = file()
-        if there is not None:
-            shown.props(f'href="/file/{there.relative_to(bench.folder)}"')
+        address = f"/file/{quote(str(there.relative_to(bench.folder)))}" if there else ""
+        if shown.props.get("href") != address:
+            shown.props["href"] = address
+            shown.update()
         shown.set_visibility(there is not None)
 
-    ui.timer(0.5, show)
+    kept_so(0.5, show)
 
 
 def pictures() -> ui.element:
@@ -207,9 +210,11 @@ def pictures() -> ui.element:
 
 def picture(camera: str, width_px: int = WIDTH_PX, drawn: Drawn | None = None) -> None:
     """The newest picture of a camera, which the browser fetches again a few times a second."""
-    address = f"/picture/{camera}?width={width_px}"
     with ui.element("div").classes("shot"):
-        ui.element("img").classes("live").props(f'data-live="{address}" alt="{camera}"')
+        image = ui.element("img").classes("live")
+        # A name may hold what would end an attribute, or an address.
+        image.props["data-live"] = f"/picture/{quote(camera, safe='')}?width={width_px}"
+        image.props["alt"] = camera
         if drawn is not None:
             over = ui.html("", sanitize=False).classes("over")
             ui.timer(0.4, lambda: over.set_content(drawn()))
@@ -246,6 +251,12 @@ def camera_pictures(
     if not bench.cameras:
         empty("The cameras' pictures come here: step 1, Cameras, adds them.")
     return shown
+
+
+def kept_so(seconds: float, show: Callable[[], object]) -> None:
+    """Show what is so, at once and again and again."""
+    show()
+    ui.timer(seconds, show)
 
 
 def put(element: ui.element, name: str, there: bool) -> None:

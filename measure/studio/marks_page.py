@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
+from urllib.parse import quote
 
 from nicegui import events, ui
 
@@ -61,7 +62,7 @@ class _Marks:
                 source = out
             marking = api.begin_marks(out, source, calibrations[0], markers)
         self.shown = {
-            name: f"/file/{api.inside(folder, file).relative_to(folder)}"
+            name: f"/file/{quote(str(api.inside(folder, file).relative_to(folder)))}"
             for name, file in marking.pictures.items()
         }
         self.marking, self.camera = marking, next(iter(self.shown))

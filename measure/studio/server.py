@@ -100,7 +100,7 @@ def _application(bench: Bench) -> FastAPI:
     """All pages, the pictures of the cameras, and the files of the folder."""
     application = FastAPI(openapi_url=None)
 
-    @application.get("/picture/{camera}")
+    @application.get("/picture/{camera:path}")
     def picture(camera: str, width: int = 480) -> Response:
         found = bench.preview.shown(camera, min(max(width, 1), _WIDEST_PX))
         if found is None:
