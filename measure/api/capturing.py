@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import math
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import numpy as np
 from measure.api.calibrating import find_target
 from measure.api.outputs import check_folder, new_folder
 from measure.api.recording import CaptureOptions, OpenRig, open_rig, sources_of
+from measure.arrays import Floats
 from measure.calibration import BoardWave, Corners, WaveState, read_board
 from measure.calibration.boards import Board, MirroredBoardError
 from measure.calibration.waving import GOAL_MM
@@ -36,6 +37,7 @@ def capture_board(
     body: Path | None = None,
     goal_mm: float = GOAL_MM,
     on_state: Callable[[WaveState], None] = lambda _: None,
+    on_corners: Callable[[Mapping[str, Floats]], None] = lambda _: None,
 ) -> WaveState | None:
     """Take pictures of a board that is waved, those that add something, until they are enough.
 
@@ -46,6 +48,7 @@ def capture_board(
         body: that will be measured; the paper's three balls if omitted.
         goal_mm: expected error of the body's position (standard deviation) that is good enough.
         on_state: called after every frame set.
+        on_corners: called with the corners (n, 2) px that each camera shows, by its name, before.
 
     Returns:
         How far the pictures suffice; None if no picture came.
@@ -65,11 +68,15 @@ def capture_board(
         with new_folder(out, options.overwrite, _MARK):
             _begin(out, target, names)
         wave = BoardWave(pattern, {}, measured, goal_mm)
-        return _wave(opened, wave, out, on_state)
+        return _wave(opened, wave, out, on_state, on_corners)
 
 
 def _wave(
-    opened: OpenRig, wave: BoardWave, out: Path, on_state: Callable[[WaveState], None]
+    opened: OpenRig,
+    wave: BoardWave,
+    out: Path,
+    on_state: Callable[[WaveState], None],
+    on_corners: Callable[[Mapping[str, Floats]], None],
 ) -> WaveState | None:
     """Gather pictures, and write those that the wave keeps."""
     state, rig = None, opened.cameras
@@ -81,6 +88,7 @@ def _wave(
             images = [*one.images.values()]
             seen = pool.map(lambda image: _find(wave.board, image), images)
             views = {i.camera: v for i, v in zip(images, seen, strict=True) if v is not None}
+            on_corners({name: view.pixels for name, view in views.items()})
             wave.sizes_wh.update((i.camera, i.pixels.shape[1::-1]) for i in images)
             times_s = {image.camera: image.time_s for image in images if image.camera in views}
             if len(wave.sizes_wh) == len(names) and views and wave.add(views, times_s):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from measure.studio.layout import (
     told,
 )
 
+_ROWS = ("upper", "middle", "lower")  # By which advice names a part of a picture
 _ADVISED = 2  # Pieces of advice that are shown at a time: hands follow no more
 
 
@@ -40,6 +41,7 @@ class _Wave:
     goal_mm: float = 0.2
     capture: Path | None = None
     state: api.WaveState | None = None
+    corners: Mapping[str, overlays.Floats] = field(default_factory=dict)  # In the newest pictures
     result: api.CalibrationResult | None = None
     report: Path | None = None
     is_waved: bool = False
@@ -62,6 +64,7 @@ class _Wave:
                     body=body,
                     goal_mm=self.goal_mm,
                     on_state=lambda state: setattr(self, "state", state),
+                    on_corners=lambda seen: setattr(self, "corners", seen),
                 )
             finally:
                 self.is_waved = False
@@ -107,8 +110,9 @@ class _Wave:
         if self.state is None:
             return "show the board to the cameras"
         if self.is_accurate and self.state.advice:
-            parts = ", ".join(one.replace(": ", " ") for one in self.state.advice[:_ADVISED])
-            return f"Accurate enough; still empty: {parts}"
+            lacks = ", ".join(one.replace(": ", " ") for one in self.state.advice[:_ADVISED])
+            is_part = any(row in lacks for row in _ROWS)
+            return f"Accurate enough; still {'empty' if is_part else 'to do'}: {lacks}"
         return "\n".join(self.state.advice[:_ADVISED])
 
     def reached(self) -> str:
@@ -127,12 +131,15 @@ class _Wave:
         return f"{name}: {seen.views} pictures, {seen.tilts} of them tilted"
 
     def drawn_over(self, name: str) -> str:
-        """Where a camera has seen the board."""
+        """Where a camera has seen the board, and the corners that it sees now."""
         facts = self.bench.preview.facts(name)
         seen = self.state.cameras.get(name) if self.state is not None and self.is_waved else None
         if seen is None or facts is None:
             return ""
-        return overlays.over(facts.size_wh, overlays.cells(facts.size_wh, seen.cells))
+        parts = [overlays.cells(facts.size_wh, seen.cells)]
+        if name in self.corners:
+            parts.append(overlays.corners(self.corners[name]))
+        return overlays.over(facts.size_wh, *parts)
 
 
 def _kept(last: api.WaveState | None) -> str:

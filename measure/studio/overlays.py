@@ -5,8 +5,6 @@ Pixel centres are at integers; SVG counts from the picture's corner.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,10 +22,11 @@ def over(size_wh: tuple[int, int], *parts: str) -> str:
     return f"{head}{inside}</svg>" * bool(inside)
 
 
-def corners(pixels: Floats, kind: str = "corner") -> str:
-    """Corners (n, 2) that were found, each a small cross."""
-    at = "".join(f"M{u:.1f} {v:.1f}m-5 0h10m-5 -5v10" for u, v in pixels + 0.5)
-    return f'<path class="{kind}" d="{at}"/>' * bool(at)
+def corners(pixels: Floats) -> str:
+    """Corners (n, 2) that were found, each a small ring."""
+    return "".join(
+        f'<circle class="corner" cx="{u:.1f}" cy="{v:.1f}" r="4"/>' for u, v in pixels + 0.5
+    )
 
 
 def cells(size_wh: tuple[int, int], counts: Floats) -> str:
@@ -40,14 +39,6 @@ def cells(size_wh: tuple[int, int], counts: Floats) -> str:
         f'width="{width:.1f}" height="{height:.1f}"/>'
         for row in range(rows)
         for column in range(columns)
-    )
-
-
-def outlines(views: Iterable[Floats]) -> str:
-    """Outlines (n, 2) of the views that are kept: where they overlap it is covered best."""
-    return "".join(
-        f'<polygon class="kept" points="{" ".join(f"{u:.0f},{v:.0f}" for u, v in view + 0.5)}"/>'
-        for view in views
     )
 
 
