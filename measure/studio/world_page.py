@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,8 @@ from measure.studio.layout import act, camera_pictures, choice, chosen, details,
 from measure.studio.steps import STEPS, step_of
 from measure.studio.words import plain
 
-_LOOK_S = 2.0  # Between two looks for the board
+_LOOK_S = 1.0  # Between two looks for the board, at least
+_LOOK_SHARE = 0.3  # Share of one core that looking may take: a chessboard takes seconds
 _AXIS_MM = 100.0  # Of the axes that are drawn, where the board has no squares
 _REST_S, _REST_POSES = 2.0, 10  # How long, and how often, a body at rest is measured at least
 
@@ -28,6 +30,7 @@ class _World:
     bench: Bench
     place: api.RigidTransform | None = None  # Of the board in the world, in the newest pictures
     unseen: str = ""  # Why it is in no picture
+    rests_until_s: float = 0.0  # Before which nobody looks again
 
     def calibration(self) -> api.Calibration:
         """The calibration whose world is moved; ConfigError if there is none yet."""
@@ -37,8 +40,8 @@ class _World:
 
     def look(self) -> None:
         """Look for the board in the newest pictures, unless there is other work to do."""
-        bench = self.bench
-        if bench.calibration is None or bench.busy:
+        bench, begun_s = self.bench, time.monotonic()
+        if bench.calibration is None or bench.busy or begun_s < self.rests_until_s:
             return
         try:
             newest = bench.preview.pixels(bench.names)
@@ -46,6 +49,8 @@ class _World:
             self.place, self.unseen = place.transform, ""
         except MeasureError as problem:
             self.place, self.unseen = None, plain(str(problem), bench.folder)
+        took_s = time.monotonic() - begun_s
+        self.rests_until_s = begun_s + took_s / _LOOK_SHARE
 
     def by_board(self) -> None:
         """Put the world where the board lies now."""
