@@ -103,7 +103,7 @@ def detect(
 _ASSUMED = {
     api.FocalFrom.BALLS: "found from the outlines of the balls",
     api.FocalFrom.TAGS: "from the picture's Exif tags",
-    api.FocalFrom.USUAL: "an ordinary webcam's, assumed: --focal-px or --calibration say better",
+    api.FocalFrom.USUAL: "an ordinary webcam's, assumed: --focal-px or --calibration say it",
 }
 """What is said of a focal length that was not given."""
 

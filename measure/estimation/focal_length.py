@@ -17,7 +17,7 @@ from measure.errors import DegenerateGeometryError
 from measure.geometry import fit_cone
 from measure.model import Intrinsics
 
-_STEPS, _REACH = 61, 12.0
+_STEPS, _REACH = 121, 12.0
 """Focal lengths tried, and how many times as long and as short as expected they are."""
 _PIECES = 12
 """Independent pieces of an outline: edges next to each other err alike."""

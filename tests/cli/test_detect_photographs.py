@@ -82,8 +82,8 @@ def test_the_focal_length_is_found_from_balls_off_the_axis(focal_px, body, tmp_p
         assert one["focal_px"] > 3000
     best = best_of(one)
     for ball, (u, v, radius) in OFF_AXIS.items():
-        assert np.hypot(*np.subtract(best[ball]["center_px"], (u, v))) < 0.8
-        assert best[ball]["radius_px"] == pytest.approx(radius, abs=1.5)
+        assert np.hypot(*np.subtract(best[ball]["center_px"], (u, v))) < 1.0
+        assert best[ball]["radius_px"] == pytest.approx(radius, abs=3.0)
         assert best[ball]["score"] > 0.85
 
 

@@ -294,7 +294,7 @@ def _is_sure(searched: Detection) -> bool:
 
     radius_px = searched.radius_px
     least = np.interp(radius_px, _SMALL_PX, _LEAST_SCORES) if radius_px < _SMALL_PX[1] else 0.0
-    return bool(MIN_RADIUS_PX <= radius_px and searched.score >= least)
+    return bool(radius_px >= MIN_RADIUS_PX and searched.score >= least)
 
 
 def _cones(rows: Floats) -> list[tuple[Floats, float, float]]:
