@@ -7,7 +7,9 @@ import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -25,6 +27,7 @@ from measure.model import Image, paper_body
 from measure.session import dump_toml, read_body
 
 _MARK = "capture.toml"
+_MIRRORED: Literal["mirrored"] = "mirrored"
 _QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 98)
 
 
@@ -86,12 +89,13 @@ def _wave(
     with ThreadPoolExecutor(len(names)) as pool:
         for one in gathering.frame_sets(over, rig.check):
             images = [*one.images.values()]
-            seen = pool.map(lambda image: _find(wave.board, image), images)
-            views = {i.camera: v for i, v in zip(images, seen, strict=True) if v is not None}
+            seen = dict(zip(one.images, pool.map(partial(_look, wave.board), images), strict=True))
+            views = {name: view for name, view in seen.items() if isinstance(view, Corners)}
             on_corners({name: view.pixels for name, view in views.items()})
             wave.sizes_wh.update((i.camera, i.pixels.shape[1::-1]) for i in images)
-            times_s = {image.camera: image.time_s for image in images if image.camera in views}
-            if len(wave.sizes_wh) == len(names) and views and wave.add(views, times_s):
+            times_s = {image.camera: image.time_s for image in images}
+            mirrored = [name for name, view in seen.items() if view == _MIRRORED]
+            if len(wave.sizes_wh) == len(names) and wave.add(views, times_s, mirrored):
                 _write(out, len(wave.kept), [i for i in images if i.camera in views])
             state = wave.state()
             on_state(state)
@@ -100,12 +104,12 @@ def _wave(
     return state
 
 
-def _find(board: Board, image: Image) -> Corners | None:
+def _look(board: Board, image: Image) -> Corners | Literal["mirrored"] | None:
     gray = np.asarray(cv2.cvtColor(image.pixels, cv2.COLOR_BGR2GRAY), np.uint8)
     try:
-        return board.find(gray)
+        return board.look(gray)
     except MirroredBoardError:
-        return None
+        return _MIRRORED
 
 
 def _begin(out: Path, board: Path, names: Sequence[str]) -> None:

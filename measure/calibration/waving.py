@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from itertools import combinations
 
 import numpy as np
@@ -23,13 +24,25 @@ from measure.model import Body, Intrinsics
 GOAL_MM = 0.2  # Expected error of the body's position that is good enough
 _NEW_SHARE = 0.06  # Share of the diagonal by which a view differs from those that are kept
 _SLIP_PX = 0.5  # How far the board may move between the pictures of one instant
-_RECENT_S = 0.5  # A view of so long ago tells how fast the board moves
+_FAR_PX = 12.0  # Corners nearer to each other than this are found seldom, and badly
+_SLOW_S = 1.0  # A computer that looks more seldom than this is told of: hands wait for it
 _BLURRED_SHARE = 0.5
 _FIT_EVERY = 4  # Instants after which the cameras are fitted again
 _FEWEST, _COMMON = 8, 4  # Views of a camera, and of two neighbours, from which the fit may decide
 _TILTED_DEG, _TILTS, _DISTANCES = 20.0, 4, 1.3
 _FOCAL = 0.72  # Focal length over the longer side, of ordinary webcams
 _ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
+
+
+class Now(Enum):
+    """What one picture shows of a board that is waved."""
+
+    NOTHING = "no board"
+    MIRRORED = "the board, mirrored"
+    MOVING = "the board, moving"
+    BLURRED = "the board, blurred"
+    FAR = "the board, too far away"
+    SEEN = "the board"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +54,7 @@ class CameraWave:
     tilts: int  # views in which the board was tilted clearly
     distances: float  # farthest over nearest; NaN without views
     sharpness: float  # of the last view; NaN without one
+    now: Now  # what it saw when it was looked at last
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +78,12 @@ class WaveState:
         """How good it is, for people."""
         if np.isnan(self.position_sd_mm):
             return "too few views to say how good the calibration will be"
-        word = "good enough" if self.enough else "not good enough yet"
-        return f"expected error at the body {self.position_sd_mm:.3f} mm, {word}"
+        said = f"expected error at the body {self.position_sd_mm:.3f} mm, "
+        if self.enough:
+            return f"{said}good enough"
+        if self.position_sd_mm > self.goal_mm:
+            return f"{said}not good enough yet"
+        return f"{said}accurate enough; still to do: {self.advice[0]}"
 
 
 @dataclass
@@ -79,23 +97,50 @@ class BoardWave:
     kept: list[dict[str, Corners]] = field(default_factory=list)
     _outlines: dict[str, list[Floats]] = field(default_factory=dict)
     _poses: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    _before: dict[str, tuple[float, Floats]] = field(default_factory=dict)
+    _before: dict[str, tuple[float, Floats]] = field(default_factory=dict)  # At the last look
     _sd_mm: float = np.nan
     _last: dict[str, float] = field(default_factory=dict)
+    _now: dict[str, Now] = field(default_factory=dict)
+    _look_s: tuple[float, float] = (np.nan, np.nan)  # When it was looked last, and before
 
-    def add(self, views: Mapping[str, Corners], times_s: Mapping[str, float]) -> bool:
+    def add(
+        self,
+        views: Mapping[str, Corners],
+        times_s: Mapping[str, float],
+        mirrored: Collection[str] = (),
+    ) -> bool:
         """Take the views of one instant, by camera, and say whether they are kept.
 
         They are if one is unlike all before it, none is blurred, and the board hardly moved from
-        the first of the pictures to the last.
+        the first of the pictures to the last, by how it moved since it was looked at before.
+
+        Args:
+            views: of the cameras that see the board.
+            times_s: of all cameras' pictures.
+            mirrored: cameras whose pictures show the board mirrored.
         """
         outlines = {name: outline(self.board, view) for name, view in views.items()}
-        slips = [self._slip_px(name, at, times_s) for name, at in outlines.items()]
-        self._before |= {name: (times_s[name], at) for name, at in outlines.items()}
+        seen_s = {name: times_s[name] for name in views}
+        moving = [n for n, at in outlines.items() if self._slip_px(n, at, seen_s) > _SLIP_PX]
+        blurred = [name for name, view in views.items() if self._is_blurred(name, view)]
+        self._before = {name: (times_s[name], at) for name, at in outlines.items()}
         self._last |= {name: view.sharpness for name, view in views.items()}
-        new = [name for name, at in outlines.items() if self._is_new(name, at)]
-        if not new or max(slips) > _SLIP_PX or any(map(self._is_blurred, views.items())):
+        self._look_s = max(times_s.values(), default=np.nan), self._look_s[0]
+        far = [name for name, view in views.items() if self._pitch_px(view) < _FAR_PX]
+        self._now = dict.fromkeys(views, Now.SEEN)
+        for names, what in (
+            (far, Now.FAR),
+            (blurred, Now.BLURRED),
+            (moving, Now.MOVING),
+            (mirrored, Now.MIRRORED),
+        ):
+            self._now |= dict.fromkeys(names, what)
+        if moving or blurred or not any(self._is_new(n, at) for n, at in outlines.items()):
             return False
+        self._keep(views, outlines)
+        return True
+
+    def _keep(self, views: Mapping[str, Corners], outlines: Mapping[str, Floats]) -> None:
         number = str(len(self.kept))  # by which views of one instant are known
         self.kept.append({name: replace(view, source=number) for name, view in views.items()})
         for name, at in outlines.items():
@@ -103,7 +148,6 @@ class BoardWave:
             self._poses.setdefault(name, []).append(self._pose(name, views[name]))
         if len(self.kept) % _FIT_EVERY == 0:
             self._sd_mm = self._fitted_mm()
-        return True
 
     def state(self) -> WaveState:
         """How far it is."""
@@ -112,27 +156,37 @@ class BoardWave:
             pair: sum(set(pair) <= set(one) for one in self.kept)
             for pair in combinations(self.sizes_wh, 2)
         }
-        advice = [*_advice(cameras), *_unconnected(list(cameras), pairs)]
-        if not (advice or self._sd_mm <= self.goal_mm):
-            advice = ["every camera: other places, other tilts"]
-        return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, tuple(advice))
+        lacks = [*_advice(cameras), *_unconnected(list(cameras), pairs)]
+        if not (lacks or self._sd_mm <= self.goal_mm):
+            lacks = ["every camera: other places, other tilts"]
+        period_s = self._look_s[0] - self._look_s[1]
+        advice = (*_at_once(cameras, period_s), *lacks) if lacks else ()
+        return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, advice)
 
     def _slip_px(self, name: str, at: Floats, times_s: Mapping[str, float]) -> float:
         """How far the board moved in this camera while the instant lasted."""
         lasted_s = max(abs(times_s[name] - other) for other in times_s.values())
-        before_s, before = self._before.get(name, (-np.inf, at))
-        since_s = times_s[name] - before_s
         if not lasted_s:
             return 0.0
-        return lasted_s * rms_length(at - before) / since_s if since_s < _RECENT_S else np.inf
+        if name not in self._before:
+            return np.inf
+        before_s, before = self._before[name]
+        return lasted_s * rms_length(at - before) / (times_s[name] - before_s)
+
+    def _pitch_px(self, view: Corners) -> float:
+        """Mean distance of neighbouring corners in a picture."""
+        points = self.board.points[view.ids]
+        apart_mm = np.linalg.norm(self.board.points[1:] - self.board.points[0], axis=1).min()
+        spread_mm = rms_length(points - points.mean(axis=0))
+        return float(apart_mm * rms_length(view.pixels - view.pixels.mean(axis=0)) / spread_mm)
 
     def _is_new(self, name: str, at: Floats) -> bool:
         least = _NEW_SHARE * float(np.hypot(*self.sizes_wh[name]))
         return all(rms_length(at - other) > least for other in self._outlines.get(name, ()))
 
-    def _is_blurred(self, seen: tuple[str, Corners]) -> bool:
-        usual = [one[seen[0]].sharpness for one in self.kept if seen[0] in one]
-        return bool(usual) and seen[1].sharpness < _BLURRED_SHARE * float(np.median(usual))
+    def _is_blurred(self, name: str, view: Corners) -> bool:
+        usual = [one[name].sharpness for one in self.kept if name in one]
+        return bool(usual) and view.sharpness < _BLURRED_SHARE * float(np.median(usual))
 
     def _camera(self, name: str) -> CameraWave:
         width, height = self.sizes_wh[name]
@@ -146,6 +200,7 @@ class BoardWave:
             int(np.sum(tilts > _TILTED_DEG)),
             float(far.max() / far.min()) if len(far) else np.nan,
             self._last.get(name, np.nan),
+            self._now.get(name, Now.NOTHING),
         )
 
     def _pose(self, name: str, view: Corners) -> tuple[float, float]:
@@ -180,13 +235,32 @@ class BoardWave:
             return float("nan")  # too few views, or too much alike
 
 
+_MENDED = {
+    Now.MIRRORED: "mirrored picture: switch off mirror mode in {}",
+    Now.MOVING: "seen in {}: hold it still",
+    Now.BLURRED: "blurred in {}: hold it still, or give more light",
+    Now.FAR: "too far away in {}: come nearer",
+}
+
+
+def _at_once(cameras: Mapping[str, CameraWave], period_s: float) -> list[str]:
+    """What keeps the board that is seen now from being taken, and how often it is looked for."""
+    out = []
+    for what, words in _MENDED.items():
+        if names := [name for name, camera in cameras.items() if camera.now is what]:
+            out.append(words.format(" and ".join(names)))
+    if Now.MOVING in [camera.now for camera in cameras.values()] and period_s > _SLOW_S:
+        out.append(f"this computer looks every {period_s:.1f} s: hold it still for so long")
+    return out
+
+
 def _advice(cameras: Mapping[str, CameraWave]) -> list[str]:
     """What each camera lacks, the one with the fewest views first."""
     out = []
     for name, seen in sorted(cameras.items(), key=lambda item: item[1].views):
         row, column = np.unravel_index(int(np.argmin(seen.cells)), seen.cells.shape)
         if not seen.views:
-            out.append(f"{name}: show it the board")
+            out += [f"{name}: show it the board"] if seen.now is Now.NOTHING else []
         elif not seen.cells[row, column]:
             out.append(f"{name}: {_ROWS[row]} {_COLUMNS[column]}")
         elif seen.tilts < _TILTS:

@@ -49,11 +49,13 @@ def capture(
     if json:
         console.print_json({"capture": out, "state": state})
     elif state is not None:
+        seen = {name: one for name, one in state.cameras.items() if one.views}
         console.print_table(
             ("camera", "views", "tilted", "farthest over nearest"),
-            [(name, one.views, one.tilts, one.distances) for name, one in state.cameras.items()],
+            [(name, one.views, one.tilts, one.distances) for name, one in seen.items()],
         )
         for line in (*state.advice, state.sentence()):
             console.print_text(line)
-        console.print_text(f"written to {out}; next: measure calibrate {out} -o calibration.toml")
+        written = f"next: measure calibrate {out} -o calibration.toml"
+        console.print_text(f"written to {out}; {written}" if seen else "no picture was kept")
     return 0 if state is not None and state.enough else console.UNBELIEVABLE

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import partial
 from itertools import product
 
+import cv2
 import numpy as np
 import pytest
 
@@ -19,7 +21,17 @@ from measure.calibration.views import ALL_VIEWS, choose_views
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform, align_points
 from measure.model import paper_body
-from tests.studio.waved import NOISE_PX, SIZE_WH, board, corners, looked_at, rig, waved
+from tests.studio.waved import (
+    NOISE_PX,
+    SIZE_WH,
+    board,
+    corners,
+    looked_at,
+    picture,
+    plain_board,
+    rig,
+    waved,
+)
 
 CAMERAS = rig()
 NAMES = [camera.name for camera in CAMERAS]
@@ -148,3 +160,62 @@ def test_the_expected_error_is_that_of_positions_once_the_world_is_set(rng):
     for expected in (told, alone):  # what a calibration file states is of each camera alone
         assert scatter == pytest.approx(rms_length(np.concatenate(expected)[:, None]), rel=0.3)
     assert rms_length(np.concatenate(first)) > 5 * scatter
+
+
+def test_a_slow_computer_takes_a_board_that_rests(rng):
+    """Looks are 1.5 s apart, cameras 50 ms out of step: rests are kept, or advice says why not."""
+    wave = wave_of()
+
+    def look(board_s, time_s):
+        views = seen(board_s, rng)
+        return wave.add(views, {name: time_s + 0.05 * (name == "cam1") for name in NAMES})
+
+    assert not look(1.0, 0.0)
+    assert not look(4.0, 1.5), "it moved by a hand's breadth since"
+    advice = wave.state().advice
+    assert advice[:2] == (
+        "seen in cam0 and cam1: hold it still",
+        "this computer looks every 1.5 s: hold it still for so long",
+    )
+    assert not any("show it the board" in words for words in advice)
+    assert look(4.0, 3.0)
+    assert "hold it still" not in " ".join(wave.state().advice)
+
+
+def test_a_camera_that_lost_the_board_does_not_know_how_fast_it_moves(rng):
+    wave, times = wave_of(), {"cam0": 0.0, "cam1": 0.016}
+    views = seen(1.0, rng)
+    assert not wave.add(views, times)
+    assert not wave.add({}, {n: s + 1.0 for n, s in times.items()})
+    assert not wave.add(views, {n: s + 2.0 for n, s in times.items()})
+    assert wave.add(views, {n: s + 3.0 for n, s in times.items()})
+
+
+def test_advice_says_what_was_seen(rng):
+    wave = wave_of()
+    wave.add({}, at_once(NAMES, 0.0), ["cam0"])
+    assert wave.state().advice[:2] == (
+        "mirrored picture: switch off mirror mode in cam0",
+        "cam1: show it the board",
+    )
+    far = {n: replace(v, pixels=v.pixels * 0.2 + 100) for n, v in seen(1.0, rng).items()}
+    assert wave.add(far, at_once(NAMES, 1.0))
+    assert wave.state().advice[0] == "too far away in cam0 and cam1: come nearer"
+
+
+def test_a_chessboard_is_looked_for_in_small_pictures(rng):
+    """As exact as the search of the whole picture, in a fraction of its time."""
+    target, camera = plain_board(), CAMERAS[0]
+    spent = {"find": 0.0, "look": 0.0}
+    for time_s in (0.0, 3.0, 7.5):
+        pose = waved(time_s, target)
+        gray = picture(camera, pose, rng, target)[:, :, 0]
+        gray = cv2.resize(gray, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        true = 2 * camera.project(pose.apply(target.points)) + 0.5
+        for way in spent:
+            begun = time.process_time()
+            view = getattr(target, way)(gray)
+            spent[way] += time.process_time() - begun
+            assert view is not None
+            assert rms_length(view.pixels - true[view.ids]) < 0.1
+    assert spent["look"] < 0.5 * spent["find"]
