@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import codecs
+import csv
 import difflib
 import re
 import stat
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Annotated, Any, get_args, get_origin
 
 from measure.errors import MeasureError
 
@@ -121,6 +124,64 @@ def _is_deeper(values: Any, most: int) -> bool:
         if not level:
             return False
     return True
+
+
+LARGEST = 1e9
+"""Of a length or coefficient in a file: a millionth of a million km, and no product of a few of
+them overflows."""
+
+
+def check_numbers(values: Any, most: float = LARGEST) -> None:
+    """Refuse (ValueError) what a file holds in place of finite numbers within +- `most`.
+
+    Lists and tables of numbers are gone through; a truth value or a text is no number.
+    """
+    if isinstance(values, Mapping):
+        values = list(values.values())
+    if isinstance(values, list | tuple):
+        for value in values:
+            check_numbers(value, most)
+    elif isinstance(values, bool | str):
+        raise ValueError(f"expected a number, got {values!r:.40}")
+    elif isinstance(values, int | float) and not abs(values) <= most:
+        raise ValueError(f"expected a finite number within {most:g}, got {values!r:.20}")
+
+
+def check_field(name: str, annotation: Any, value: Any) -> None:
+    """Hold a field of a file to `check_numbers`, if its type says that it holds numbers alone.
+
+    Seconds (`_s`) have bounds of their own, as those since 1970 are beyond 1e9; covariances are
+    squares.
+    """
+    if _kinds(annotation) <= {int, float, NoneType}:
+        squared = LARGEST**2 if name.endswith("covariance") else LARGEST
+        check_numbers(value, float("inf") if name.endswith("_s") else squared)
+
+
+@cache
+def _kinds(annotation: Any) -> frozenset[Any]:
+    """The types of the single values that a field of this type holds."""
+    inner = get_args(annotation)
+    if get_origin(annotation) is Annotated:
+        inner = inner[:1]
+    elif get_origin(annotation) is dict:
+        inner = inner[1:]
+    parts = [_kinds(part) for part in inner if part is not Ellipsis]
+    return frozenset().union(*parts) if parts else frozenset([annotation])
+
+
+def csv_rows(
+    text: str, separator: str, error: type[MeasureError], place: str
+) -> Iterator[tuple[int, list[str]]]:
+    """Rows of a table of text with the numbers of the lines they end in; refused by `error`."""
+    reader = csv.reader(text.splitlines(), delimiter=separator)
+    try:
+        for row in reader:
+            yield reader.line_num, row
+    except csv.Error as problem:
+        raise error(
+            f"{place}:{reader.line_num}: {problem}: is a quotation mark not closed?"
+        ) from None
 
 
 def missing_message(path: Path) -> str:

@@ -18,6 +18,7 @@ from measure.arrays import Bytes
 from measure.errors import CalibrationError, ConfigError, MeasureError, RunError
 from measure.reading import parse_toml, read_text
 from measure.session import check_name, matching_files, read_picture
+from measure.session.number_table import read_number_table
 
 COLORS = "colours.toml"  # In the folder: colours that were learnt, and no measured body
 EVENTS = "events.csv"  # In a run's folder: the time of each event and what it was
@@ -142,5 +143,5 @@ def events(run: Path) -> list[tuple[float, str]]:
     """The events that were marked during a run: when, in seconds since 1970, and what."""
     if not (run / EVENTS).exists():
         return []
-    rows = csv.DictReader(read_text(run / EVENTS, RunError).splitlines())
-    return [(float(row["time_s"]), row["event"]) for row in rows]
+    table = read_number_table(run / EVENTS, ("time_s",), error=RunError, words=("event",))
+    return list(zip(table.columns["time_s"].tolist(), table.words["event"], strict=True))

@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.checking.clocks import Instant, Reduced, eliminate_pose, linearise, symmetric_inverse
+from measure.checking.clocks import Instant, Reduced, eliminate_pose, linearise
 from measure.checking.finding import Finding, Level
 from measure.geometry import chi_square_quantile
+from measure.geometry.normal_equations import symmetric_inverse
 from measure.model import Body, Camera
 
 _BIAS_PX = 0.15

@@ -17,6 +17,7 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.estimation.pose_fit import PoseObservations
 from measure.geometry import RigidTransform, chi_square_quantile, skew
+from measure.geometry.normal_equations import symmetric_inverse
 from measure.measuring.measurement import Measurement
 from measure.measuring.pose_spline import REACH, motion_at
 from measure.model import Body, Camera, Pose
@@ -24,8 +25,8 @@ from measure.model import Body, Camera, Pose
 _HUBER_SIGMAS = 3.0
 _MIN_IMAGE_SPEED_PX_S = 1e-3
 _JACKKNIFE_BLOCKS = 8
-_UNDETERMINED = 1e-12  # Eigenvalues this small, as a share of the largest, are rounding
 _PRIOR_SD_S = 10.0  # A weak prior keeps a parameter that is nearly unobservable from diverging
+_FARTHEST_S = 3 * _PRIOR_SD_S  # A clock beyond has diverged
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,20 +175,6 @@ def _jackknife_steps(
     return np.stack(steps)
 
 
-def symmetric_inverse(matrix: Floats) -> Floats:
-    """The inverse (n, n) of a symmetric matrix; directions it does not determine stay put.
-
-    A pose that too few ball-views determine then takes nothing from the clocks, and a clock that
-    nothing determines is left where it is.
-    """
-    size = np.sqrt(np.abs(np.diag(matrix)))
-    scale = 1 / np.where(size > 0, size, 1.0)
-    scaled = matrix * scale[:, None] * scale
-    return np.asarray(
-        np.linalg.pinv(scaled, rcond=_UNDETERMINED, hermitian=True) * scale[:, None] * scale
-    )
-
-
 def robust_weights(residuals: Floats, noise: Floats) -> Floats:
     """Inverse covariances (n, 2, 2), less (Huber) for residuals of over three deviations."""
     inverse = np.linalg.inv(noise)
@@ -296,6 +283,9 @@ def _estimate(
         bias = bias_deviations(instants, clocks, extra_px)
         step, sd = solve_clocks(parts, clocks, readout, bias)
         clocks = clocks + step
+        # Cameras that contradict each other in their poses leave no offsets that fit.
+        if not np.all(np.abs(clocks) <= _FARTHEST_S):
+            return np.zeros_like(clocks), np.full_like(sd, np.inf)
         poses = [
             replace(
                 pose, world_from_body=pose.world_from_body.perturb(p.pose - p.adapts @ step.ravel())

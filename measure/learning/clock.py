@@ -17,6 +17,7 @@ _HALF_SPAN_S = 0.1  # velocities are differences of positions over twice this ti
 _MIN_MOTION_S = 8.0  # shorter motions of one operator resemble each other
 _MIN_COMMON_SHARE = 0.5  # of the shorter recording that must overlap the other
 _MAX_COMPARED_S = 1e5  # longest stretch of motion that is compared
+_MAX_SEARCHED_S = 2e4  # range of offsets: arrays of two million, nine at a time
 _GAP_S, _GAP_STEPS = 0.3, 3.0  # a step longer than both (s, median steps) is a gap
 _SLOPE_S = 0.01
 _MIN_CORRELATION = 0.9
@@ -167,9 +168,8 @@ def _agreements(
     singular values of the velocities' cross products, the last one with the sign of a rotation,
     over the root of both sums of squares (Kabsch 1976).
     """
-    reach = round(largest_s * _GRID_HZ)
-    lags = np.arange(-reach, reach + 1) / _GRID_HZ
-    wide = np.arange(len(grid) + 2 * reach) / _GRID_HZ + (grid[0] - largest_s)
+    lags = _offsets(cameras.times_s, robot.times_s, largest_s)
+    wide = np.arange(len(grid) + len(lags) - 1) / _GRID_HZ + (grid[0] + lags[0])
     measured, reported = cameras.velocity(grid), robot.velocity(wide)
     measured_known = cameras.known(grid).astype(np.float64)
     reported_known = robot.known(wide).astype(np.float64)
@@ -185,6 +185,20 @@ def _agreements(
     )
     enough = (common_s > max(_MIN_MOTION_S, _MIN_COMMON_SHARE * shorter_s)) & (squares > 1e-6)
     return lags, np.where(enough, values.sum(axis=1) / np.sqrt(np.where(enough, squares, 1)), 0.0)
+
+
+def _offsets(camera_s: Floats, robot_s: Floats, largest_s: float) -> Floats:
+    """The offsets (n,) in s within +- `largest_s` at which the recordings overlap at all."""
+    first = max(-largest_s, robot_s[0] - camera_s[-1])
+    last = min(largest_s, robot_s[-1] - camera_s[0])
+    if last - first > _MAX_SEARCHED_S:
+        raise EstimatorError(
+            f"clock offsets from {first:.6g} to {last:.6g} s are too many to search: give the "
+            f"offset, or one to search within ({_MAX_SEARCHED_S:g} s in all)"
+        )
+    if not last > first:
+        raise _too_little(camera_s, robot_s)
+    return np.arange(round(first * _GRID_HZ), round(last * _GRID_HZ) + 1) / _GRID_HZ
 
 
 def _sliding(long: Floats, short: Floats) -> Floats:

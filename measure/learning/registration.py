@@ -28,6 +28,7 @@ _LONGEST_GAP_S, _RATE_STEP_S = 0.05, 0.01
 _PATH_MM_PER_RAD = 100.0
 _SAME_CLOCK_S, _ROUNDS = 2e-4, 3
 _WRONG_CHAIN_MM = 5.0  # RMS left, most of it by links: no arm is built so badly
+_MOST_LINK_MM = 100.0  # error of a link that a wrong table may hold; a mirrored world needs more
 _MOST_APART_DEG = 15.0  # RMS of rotations; slack and slipping drives of a wrist leave less
 _WEAK_MM, _WEAK_RAD = 2.0, float(np.deg2rad(0.3))  # SD from which a frame is told to be uncertain
 _NOT_SHOWN = 0.7  # share of its SD that a link's error keeps if the motion does not show it
@@ -88,7 +89,9 @@ def register(recordings: Sequence[Recording], options: RegisterOptions) -> Robot
         clocks = clocks + fit.clocks_s
         if np.abs(fit.clocks_s).max() < _SAME_CLOCK_S:
             break
-    if schema.chain and not kinematics:
+    if schema.chain and kinematics:
+        _refuse_unlike(fit, schema.chain)
+    elif schema.chain:
         _refuse_wrong(fit, seen, schema.chain)
     covariance, order = _in_file(fit, names, schema.chain if kinematics else None)
     return RobotFrame(
@@ -122,6 +125,7 @@ def _clock(one: Recording, largest_s: float) -> float:
     """By the turns, which are the same wherever on the tool the body is; else by the places."""
     track, log, chain = one.track.measured(), one.log, one.log.schema.chain
     assert track.rotations is not None
+    complete_states(track.name, log)  # refuses a log without any
     first, last = track.times_s[[0, -1]] + (-2 * largest_s, 2 * largest_s)
     rows = np.flatnonzero((log.times_s > first) & (log.times_s < last) & log.complete)
     if chain is not None and len(rows) > 1:
@@ -213,6 +217,18 @@ def _turned_deg(rotations: Floats) -> tuple[Floats, Floats]:
     axes = np.linalg.svd(turns - turns.mean(axis=0), full_matrices=False)[2].T
     low, high = np.percentile(turns @ axes, (1, 99), axis=0)
     return np.degrees(high - low), axes
+
+
+def _refuse_unlike(fit: FrameFit, chain: SerialChain) -> None:
+    """Refuse links that are fitted as no arm is built: then the poses are not of this arm."""
+    lengths = np.where(np.resize(TURNS, fit.links.shape), 0.0, fit.links)
+    worst = int(np.argmax(np.abs(lengths)))
+    if abs(lengths[worst]) > _MOST_LINK_MM:
+        raise EstimatorError(
+            f"--kinematics: the motion is met with {link_names(chain)[worst]} off by "
+            f"{lengths[worst]:.0f} mm: are the poses mirrored (axes of a left hand), or of another "
+            "robot?"
+        )
 
 
 def _refuse_wrong(fit: FrameFit, seen: Sightings, chain: SerialChain) -> None:

@@ -67,14 +67,25 @@ def joint_rows(
         poses = _tip_poses(path, reader, schema, joints.topic)
     place = schema.index([reading.terms[0][0] for reading in schema.position])
     scales = np.array([reading.terms[0][1] for reading in schema.position])
+    needed_columns = [column for column in found.columns if column in joints.columns]
+    parts, is_whole = dict[tuple[str, ...], None](), False
     for stamp_s, cells in _messages(reader, joints.connections):
-        if not any(column in cells for column in found.columns):
+        held = tuple(column for column in needed_columns if column in cells)
+        if not held:
             continue  # another part of the robot's, such as a gripper
+        is_whole = is_whole or len(held) == len(needed_columns)
+        parts[held] = None
         values = np.array([[cells.get(column, np.nan) for column in found.columns]])
         state = found.states(f"{path}: {joints.topic}", values)[0]
         if poses is not None:
             state[place] = _interpolate(*poses, stamp_s) / scales
         yield stamp_s, state
+    if parts and not is_whole:
+        split = " and ".join(", ".join(part) for part in itertools.islice(parts, 4))
+        raise EstimatorError(
+            f"{path}: {joints.topic}: no message holds all joints of {schema.robot}: {split} come "
+            "in messages of their own, as of several publishers: record a topic that holds all"
+        )
 
 
 def _choose(path: Path, reader: Any, schema: StateSchema, topic: str | None) -> _Joints:

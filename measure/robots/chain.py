@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from measure.arrays import Floats, floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
+from measure.geometry.normal_equations import symmetric_inverse
 
 _DAMPING = 1e-9  # mm^2 or rad^2, of the normal matrix
 
@@ -158,6 +159,7 @@ PARAMETERS = ("x_mm", "y_mm", "z_mm", "x_deg", "y_deg", "z_deg")
 TURNS = np.array([False] * 3 + [True] * 3)
 """Which of these are angles."""
 _USUAL_SD = np.array([0.3, 5e-4])  # mm and rad: the least that is counted with
+_LARGEST_SD = np.array([5.0, 0.05])  # mm and rad: the most that is counted with, whatever is left
 _LEAST_NOISE = 1e-2
 """Variance of what is left over what is stated, at least: few residuals may be met exactly."""
 _STEPS = 50
@@ -229,7 +231,7 @@ class LinkEffects:
         size, sd, noise = len(links), self.link_sd, self.noise
         for _ in range(_STEPS):
             precision = np.concatenate([known, sd**-2.0])
-            C = np.linalg.inv(N * (share / noise) + np.diag(precision))
+            C = symmetric_inverse(N * (share / noise) + np.diag(precision))
             pull = g * (share / noise)
             pull[len(pull) - size :] -= precision[len(pull) - size :] * links
             x = C @ pull
@@ -242,12 +244,12 @@ class LinkEffects:
 def _pooled(second: Floats) -> Floats:
     """Standard deviations (links,) of second moments: one of all lengths, one of all angles.
 
-    As large as they are if only the four classical ones of each six (a, alpha, d, theta) are off.
+    As large as they are if only the four classical ones of each six (a, alpha, d, theta) are off;
+    where a motion leaves most of them open that would grow without end.
     """
     turns = np.resize(TURNS, second.shape)
     out = np.empty_like(second)
-    for which, usual in zip((~turns, turns), _USUAL_SD, strict=True):
-        out[which] = (
-            max(float(np.sqrt(1.5 * second[which].mean())), usual) if which.any() else usual
-        )
+    for which, usual, most in zip((~turns, turns), _USUAL_SD, _LARGEST_SD, strict=True):
+        if which.any():
+            out[which] = np.clip(np.sqrt(1.5 * second[which].mean()), usual, most)
     return out

@@ -17,13 +17,15 @@ from pydantic import (
     Field,
     FiniteFloat,
     ValidationError,
+    ValidationInfo,
+    field_validator,
     model_validator,
 )
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.reading import parse_toml, read_text, read_toml_text
+from measure.reading import LARGEST, check_field, parse_toml, read_text, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
 from measure.robots.schema import UNITS_S, Feature, LogFormat, OtherNames, Reading, StateSchema
 
@@ -112,8 +114,8 @@ def _numbers(path: Path, element: ET.Element | None, key: str, default: str) -> 
         values = np.array([float(part) for part in text.split()])
     except ValueError:
         values = np.array([np.nan])
-    if len(values) != 3 or not np.isfinite(values).all():
-        raise EstimatorError(f'{path}: {key}="{text}" is not three numbers')
+    if len(values) != 3 or not (np.abs(values) <= LARGEST).all():
+        raise EstimatorError(f'{path}: {key}="{text[:60]}" is not three numbers within {LARGEST:g}')
     return values
 
 
@@ -127,6 +129,13 @@ _POSITION_NAMES = (("x_mm", "y_mm", "z_mm"), ("x_m", "y_m", "z_m"))
 
 class _File(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _holds_numbers(cls, value: Any, info: ValidationInfo) -> Any:
+        name = str(info.field_name)
+        check_field(name, cls.model_fields[name].annotation, value)
+        return value
 
 
 class _Column(_File):

@@ -155,6 +155,8 @@ def _is_a_lens(lens: Intrinsics) -> bool:
     """Whether the middle half of the picture is seen along rays that lead back to it."""
     if not _FOCAL_SIZES[0] <= lens.focal_px / max(lens.size_wh) <= _FOCAL_SIZES[1]:
         return False
+    if abs(lens.matrix[0, 1]) > lens.focal_px:  # rows of pixels more than 45 deg askew
+        return False
     pixels = np.array([(u, v) for u in _MIDDLE for v in _MIDDLE]) * lens.size_wh
     straight = replace(lens, distortion=np.zeros(8))
     with np.errstate(all="ignore"):

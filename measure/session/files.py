@@ -13,10 +13,19 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 
 from measure.errors import MeasureError, SessionError
-from measure.reading import check_ordinary, parse_toml, read_toml_text
+from measure.reading import check_field, check_ordinary, parse_toml, read_toml_text
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -74,9 +83,16 @@ Position = tuple[_Coordinate, _Coordinate, _Coordinate]
 
 
 class FileModel(BaseModel):
-    """Base of what is read from a file: frozen, and a misspelt key is an error."""
+    """Base of what is read from a file: frozen, a misspelt key is an error, numbers are numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _holds_numbers(cls, value: Any, info: ValidationInfo) -> Any:
+        name = str(info.field_name)
+        check_field(name, cls.model_fields[name].annotation, value)
+        return value
 
 
 def load_toml(path: Path | str, model: type[M], error: type[MeasureError] = SessionError) -> M:

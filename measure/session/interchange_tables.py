@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import CalibrationError
-from measure.reading import read_text
+from measure.reading import LARGEST, read_text
 from measure.session.stated_rig import READ, StatedCamera, StatedRig, plain_values, stated_model
 
 Table = Mapping[str, Any]
@@ -123,6 +123,8 @@ def _multical(path: Path, values: Table) -> StatedRig | None:
     poses, lenses = values.get("camera_poses"), values.get("cameras")
     if not (isinstance(poses, Mapping) and isinstance(lenses, Mapping)):
         return None
+    if not all(isinstance(one, Mapping) for one in (*poses.values(), *lenses.values())):
+        raise CalibrationError(f"{path}: cameras and camera_poses must be maps of maps; {READ}")
     own = {str(key).partition("_to_")[0]: pose for key, pose in poses.items()}
     cameras = []
     for name, table in lenses.items():
@@ -257,13 +259,22 @@ def _size(table: Table, place: str) -> tuple[int, int] | None:
 
 
 def _numbers(value: object, place: str, key: str, count: int | None = None) -> Floats:
-    """Finite numbers (n,), perhaps the `data` of a matrix; none if they are left out."""
+    """Finite numbers (n,), perhaps the `data` of a matrix; none if they are left out.
+
+    YAML takes 1e-5 for a text: texts of numbers count as such; a truth value is none.
+    """
     given = value.get("data") if isinstance(value, Mapping) else value
     try:
         numbers = np.array([] if given is None else given, dtype=np.float64).reshape(-1)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = np.array([np.nan])
-    if not np.isfinite(numbers).all() or (count is not None and len(numbers) != count):
+    are = (np.abs(numbers) <= LARGEST).all() and not _holds_truth(given)
+    if not are or (count is not None and len(numbers) != count):
         many = "" if count is None else f"{count} "
-        raise CalibrationError(f"{place}: {key} must be {many}finite numbers")
+        raise CalibrationError(f"{place}: {key} must be {many}finite numbers, within {LARGEST:g}")
     return numbers
+
+
+def _holds_truth(value: object) -> bool:
+    """Whether true or false stands among values."""
+    return isinstance(value, bool) or (isinstance(value, list) and any(map(_holds_truth, value)))

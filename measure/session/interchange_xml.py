@@ -10,6 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
+from measure.reading import LARGEST
 from measure.session.stated_rig import READ, StatedCamera, StatedRig
 
 _SUBPIXELS = 64.0  # Qualisys' units in a pixel
@@ -126,6 +127,8 @@ def _floats(
         numbers = np.array(text.split()[-count:], dtype=np.float64)
     except ValueError:
         numbers = np.array([np.nan])
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise CalibrationError(f"{place}: {key} = {text[:60]!r} is no {count} finite numbers")
+    if len(numbers) != count or not (np.abs(numbers) <= LARGEST).all():
+        raise CalibrationError(
+            f"{place}: {key} = {text[:60]!r} is no {count} finite numbers within {LARGEST:g}"
+        )
     return numbers

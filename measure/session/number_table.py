@@ -6,8 +6,6 @@ decimal point. Times may be seconds, ISO 8601, or ROS's seconds and nanoseconds 
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import MeasureError, SessionError
-from measure.reading import TIME, TimeColumns, candidates, read_text, time_columns
+from measure.reading import TIME, TimeColumns, candidates, csv_rows, read_text, time_columns
 
 _SEPARATORS = ",;\t"
 
@@ -52,7 +50,7 @@ def read_number_table(
     text = read_text(path, error)
     head = next(filter(str.strip, text.splitlines()), "")
     separator = max(_SEPARATORS, key=head.count)  # a comma if none is there
-    numbered = _numbered_rows(text, separator, f"{prefix}{path}", error)
+    numbered = csv_rows(text, separator, error, f"{prefix}{path}")
     _, first = next(numbered, (1, []))
     header = [name.strip() for name in first]
     stamp = time_columns(header, time_column) if TIME in needed else None
@@ -101,20 +99,6 @@ def _is_alike(bad: _BadRowError, reader: _RowReader, row: list[str]) -> bool:
     except _BadRowError as other:
         return other.cure == bad.cure and any(cell.strip() for cell in row)
     return False
-
-
-def _numbered_rows(
-    text: str, separator: str, place: str, error: type[MeasureError]
-) -> Iterator[tuple[int, list[str]]]:
-    """Rows with the numbers of the lines they end in."""
-    reader = csv.reader(text.splitlines(), delimiter=separator)
-    try:
-        for row in reader:
-            yield reader.line_num, row
-    except csv.Error as problem:
-        raise error(
-            f"{place}:{reader.line_num}: {problem}: is a quotation mark not closed?"
-        ) from None
 
 
 class _BadRowError(ValueError):

@@ -12,7 +12,6 @@ Each writes headings of its own, several bodies side by side, and numbers in its
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from measure.arrays import Floats
 from measure.errors import MeasureError
+from measure.reading import csv_rows
 
 _LENGTHS_MM = {
     "mm": 1.0,
@@ -93,10 +93,11 @@ def tracker_bodies(
     read = _ndi if set(_NDI_CELLS) <= set(cells) else kinds.get(cells[0])
     if read is None:
         return None
-    rows = [[c.strip() for c in row] for row in csv.reader(text.splitlines(), delimiter=separator)]
+    numbered = csv_rows(text, separator, error, str(path))
+    rows = [[cell.strip() for cell in row] for _, row in numbered]
     try:
         found = read(rows)
-    except (KeyError, IndexError, ValueError) as problem:
+    except (KeyError, IndexError, ValueError, ZeroDivisionError) as problem:
         raise error(
             f"{path}: its headings are not those of a tracker's export: {problem}"
         ) from None

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.registration import Arm, recorded, robot_toml, ur5e
+from benchmarks.registration import SWING_DEG, Arm, recorded, robot_toml, ur5e
 from measure.cli import main
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, chi_square_quantile
@@ -246,3 +246,34 @@ def test_errors_that_a_run_shares_are_in_the_covariance(arm: Arm) -> None:
     more = np.diag(shared.covariance)[:12] / np.diag(alone.covariance)[:12]
     assert np.all(more > 0.9)
     assert more.max() > 1.2
+
+
+@pytest.mark.parametrize("moving", [[1, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 1]])
+def test_joints_that_stand_exactly_still_leave_their_links_open(moving: list[int]) -> None:
+    one = recorded(3, **SHORT, swing_deg=SWING_DEG * moving)
+    for kinematics in (False, True):
+        options = RegisterOptions(kinematics, largest_offset_s=2e9)  # no more is searched than is
+        found = register([Recording(one.track, one.log)], options)
+        miss = found.world_from_base.difference(one.world_from_base)[:3]
+        assert miss @ np.linalg.solve(found.covariance[:3, :3], miss) < chi_square_quantile(0.99, 3)
+        assert np.linalg.norm(miss) < 10.0
+
+
+def test_mirrored_poses_are_refused_whatever_may_be_fitted() -> None:
+    one = recorded(3, **SHORT)
+    mirror = np.diag([-1.0, 1, 1])
+    assert one.track.rotations is not None
+    track = replace(
+        one.track,
+        positions_mm=one.track.positions_mm @ mirror,
+        rotations=mirror @ one.track.rotations @ mirror,
+    )
+    options = RegisterOptions(kinematics=True, clock_offset_s=one.clock_offset_s)
+    with pytest.raises(EstimatorError, match="mirrored"):
+        register([Recording(track, one.log)], options)
+
+
+def test_a_search_without_end_is_refused(arm: Arm) -> None:
+    log = replace(arm.log, times_s=arm.log.times_s * 1000)
+    with pytest.raises(EstimatorError, match=r"too many to search|share less than|no clock offset"):
+        register([Recording(arm.track, log)], RegisterOptions(largest_offset_s=2e9))

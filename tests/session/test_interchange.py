@@ -308,7 +308,7 @@ def test_a_slip_in_a_camchain(tmp_path: Path, old: str, new: str, said: str) -> 
         read_calibration(tmp_path / "camchain.yaml")
 
 
-@pytest.mark.parametrize("angle", ["1e300", "180.0"])
+@pytest.mark.parametrize("angle", ["1e8", "180.0"])
 def test_a_rotation_vector_beyond_reason(tmp_path: Path, angle: str) -> None:
     write_calibration(tmp_path / "c.toml", Calibration(cameras()), "anipose")
     lines = (tmp_path / "c.toml").read_text().splitlines()
