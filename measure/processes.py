@@ -153,11 +153,20 @@ def usable_cores() -> int:
 
 def largest_file_bytes() -> int:
     """How large a file of this process may be (`ulimit -f`)."""
+    return _limit("RLIMIT_FSIZE")
+
+
+def address_space_bytes() -> int:
+    """How many addresses this process may have (`ulimit -v`)."""
+    return _limit("RLIMIT_AS")
+
+
+def _limit(name: str) -> int:
     if sys.platform == "win32":
         return sys.maxsize
     import resource
 
-    limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    limit, _ = resource.getrlimit(getattr(resource, name))
     return sys.maxsize if limit == resource.RLIM_INFINITY else limit
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
+
+import numpy as np
 
 from measure.errors import RunError
 from measure.measuring import Measurement
@@ -21,9 +24,9 @@ if TYPE_CHECKING:
 
 RESERVED_BYTES = 32_000_000
 """Least room on the disk to go on: more than the recording buffers at a time."""
-LEAST_BYTES, BYTES_A_VIEW = 1_500_000, 4_000
-"""What a short recording without pictures needs: what stands at its head, and its tables; and for
-each ball in each camera of a frame set, of which 300 of four cameras and three balls take 10 MB."""
+LEAST_BYTES, BYTES_A_VIEW, BYTES_A_PIXEL = 1_500_000, 4_000, 0.3
+"""What a short recording needs: what stands at its head, and its tables; for each ball in each
+camera of a frame set, of which 300 of four cameras and three balls take 10 MB; and as a picture."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +71,11 @@ class RunLog:
     ) -> None:
         self._path = out / "run.rrd" if options.recording else None
         self._kept, self._problem = kept, ""
-        self._left = None if options.image_every else options.frame_sets
-        self._views = len(cameras) * sum(len(body.balls) for body in bodies)
+        self._left = None if videos else options.frame_sets  # which go in whole
+        a_set = len(cameras) * sum(len(body.balls) for body in bodies) * BYTES_A_VIEW
+        pixels = sum(int(np.prod(camera.intrinsics.size_wh)) for camera in cameras)
+        self._bytes_a_set, self._bytes_a_picture = a_set, round(pixels * BYTES_A_PIXEL)
+        self._image_every = options.image_every
         self._log: RunRecording | None = None
         if not options.wanted:
             return
@@ -124,7 +130,9 @@ class RunLog:
             return
         needed = RESERVED_BYTES
         if self._left is not None:
-            needed = min(needed, LEAST_BYTES + self._left * self._views * BYTES_A_VIEW)
+            pictured = math.ceil(self._left / self._image_every) if self._image_every else 0
+            rest = self._left * self._bytes_a_set + pictured * self._bytes_a_picture
+            needed = min(needed, LEAST_BYTES + rest)
         free, largest = shutil.disk_usage(self._path.parent).free, largest_file_bytes()
         if free < needed:
             why = f"the disk is full but for {free // 1000} kB"

@@ -16,8 +16,8 @@ from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter, UnknownCommandError
 
-from measure.errors import MeasureError
-from measure.processes import Terminated, unwound_by_signals
+from measure.errors import ConfigError, MeasureError
+from measure.processes import Terminated, address_space_bytes, unwound_by_signals
 
 GROUPS: dict[str, dict[str, str]] = tomllib.loads(
     Path(__file__).with_name("commands.toml").read_text("utf-8")
@@ -27,9 +27,20 @@ DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED, ENDED_BY = 0, 1, 2, 130, 141, 1
 """Exit codes. An exception we did not foresee is a defect: python prints it and exits with 1."""
 
 _MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EMFILE}
-"""Errors of the machine, not of the program: full or read-only disks, permissions."""
+_MACHINE_FAULTS |= {errno.EFBIG, errno.ENOMEM}
+"""Errors of the machine, not of the program: full or read-only disks, permissions, limits."""
 _PATH_FAULTS = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG}
 """Errors of paths, which are the user's if the path is: a missing folder, a file in its place."""
+
+_NO_MEMORY = ("Insufficient memory", "bad_alloc", "can't start new thread", "spawn thread")
+"""What libraries say where there is no memory, by errors of other kinds."""
+
+_LEAST_ADDRESS_BYTES = 3_500_000_000
+"""With 2.6 GB libraries that compile, draw and decode abort or crash while they begin; 4 GB do."""
+_MEMORY_USED_UP = (
+    "the memory that this process may have is used up (`ulimit -v`, or all of the machine's); what "
+    "was written before is kept: close other programs or raise the limit"
+)
 
 _CLAUSE_END = r"(?:;|\. )(?![^(]*\))"  # A semicolon or full stop, but not one in brackets
 
@@ -62,7 +73,8 @@ def _explained(tokens: list[str]) -> int:
         code = _dispatch(tokens)
         sys.stdout.flush()
     except MeasureError as error:
-        return _mistake(str(error))
+        # Whatever stage met it is not to blame.
+        return _mistake(_MEMORY_USED_UP if _is_short_of_memory(error.__cause__) else str(error))
     except UnicodeEncodeError as error:
         if error.reason != "surrogates not allowed":
             raise
@@ -73,6 +85,10 @@ def _explained(tokens: list[str]) -> int:
             raise
         where = f"{error.filename}: " if error.filename else ""
         return _mistake(f"{where}{error.strerror}")
+    except Exception as error:
+        if not _is_short_of_memory(error):
+            raise
+        return _mistake(_MEMORY_USED_UP)
     except Terminated as end:
         print(f"measure: ended by {end.signal.name}", file=sys.stderr)
         return ENDED_BY + end.signal
@@ -80,6 +96,15 @@ def _explained(tokens: list[str]) -> int:
         print("measure: interrupted", file=sys.stderr)
         return INTERRUPTED
     return code
+
+
+def _is_short_of_memory(error: BaseException | None) -> bool:
+    """Whether an error was, or was made from, one of memory: NumPy's, OpenCV's, C++'s, threads'."""
+    while error is not None:
+        if isinstance(error, MemoryError) or any(word in str(error) for word in _NO_MEMORY):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _pipe_closed() -> int:
@@ -167,6 +192,11 @@ def _dispatch(tokens: list[str]) -> int:
             from measure.host import Registry
 
             injected["registry"] = Registry.discover(disable)
+        if (limit := address_space_bytes()) < _LEAST_ADDRESS_BYTES:
+            raise ConfigError(
+                f"this process may have {limit / 1e9:.1f} GB of address space (`ulimit -v`), and "
+                f"{_LEAST_ADDRESS_BYTES / 1e9:.1f} GB are needed: raise that limit"
+            )
         result = command(*bound.args, **bound.kwargs, **injected)
         return result if isinstance(result, int) else DONE
 

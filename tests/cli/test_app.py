@@ -104,6 +104,39 @@ def test_a_signal_that_comes_while_an_object_is_destroyed_ends_the_command_all_t
     assert capsys.readouterr().err == "measure: ended by SIGTERM\n"
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        RuntimeError("can't start new thread"),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        ValueError("OpenCV(5.0) (-4:Insufficient memory) Failed to allocate 5529600 bytes"),
+        SessionError("detector 'outline' fails: MemoryError"),
+    ],
+    ids=repr,
+)
+def test_too_little_memory_is_one_line(monkeypatch, capsys, error: Exception) -> None:
+    """Whoever asked for it in vain: 1.5 GB of address space are not enough."""
+    if isinstance(error, SessionError):
+        error.__cause__ = MemoryError()
+    _register(monkeypatch, _raise(error))
+    assert main(["try"]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert "memory" in line
+    assert "detector" not in line
+
+
+def test_a_limit_on_addresses_is_told_before_libraries_crash_of_it(monkeypatch, capsys) -> None:
+    _register(monkeypatch, lambda: None)
+    for limit, code in ((1_500_000_000, 2), (4_000_000_000, 0)):
+        monkeypatch.setattr("measure.cli.app.address_space_bytes", lambda limit=limit: limit)
+        assert main(["try"]) == code
+    line = capsys.readouterr().err
+    assert "may have 1.5 GB of address space (`ulimit -v`), and 3.5 GB are needed" in line
+    assert line.count("\n") == 1
+
+
 def test_a_signal_that_is_ignored_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """As `nohup` has it."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
