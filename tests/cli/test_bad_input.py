@@ -180,6 +180,20 @@ def test_a_full_disk(tmp_path: Path, small_disk, kilobytes: int, capfd, monkeypa
         assert len(kept) <= text.count("\n")
 
 
+def test_a_recording_needs_no_more_room_than_it_takes(
+    recording: Recording, capsys, monkeypatch
+) -> None:
+    """Six frame sets fit on a disk of 8 MB; into a file of 60 kB they do not."""
+    real = shutil.disk_usage
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: real(path)._replace(free=8 * 10**6))
+    monkeypatch.setattr("measure.api.run_log.largest_file_bytes", lambda: 60_000)
+    line = complaint(capsys, *run_words(recording))
+    assert "run.rrd: no file may be larger than 60 kB (`ulimit -f`); everything measured" in line
+    monkeypatch.setattr("measure.api.run_log.largest_file_bytes", lambda: 10**12)
+    assert main([*run_words(recording, "--resume")]) == 0
+    capsys.readouterr()
+
+
 def test_a_disk_that_fills_up_beside_the_recording(
     recording: Recording, capsys, monkeypatch
 ) -> None:

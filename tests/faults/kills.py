@@ -1,4 +1,4 @@
-"""Kills at random moments: a run that is resumed after them equals the one that nobody killed."""
+"""Kills at random moments: a run that is resumed equals the one that nobody killed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from measure.cli import main
 from measure.results.stored import csv_rows
 from measure.simulation import write_session
 from tests.faults.killed import Ended, Moment, Process
+from tests.faults.killed_commands import Loss, commands, killed
 from tests.simulated.catalogue import occluded_scene, webcam_scene
 from tests.simulated.sessions import part_of
 
@@ -148,10 +149,10 @@ def second_writers(case: Case, out: Path, step: int) -> tuple[dict[str, Ended], 
 
 
 def rows(count: int, seed: int) -> list[tuple[str, str]]:
-    """Kill runs at random moments, resume them and compare; then two writers.
+    """Kill runs at random moments, resume them and compare; then other commands, and two writers.
 
     Args:
-        count: how many runs are killed.
+        count: how many runs are killed; of each other command a third as many.
         seed: of the moments.
 
     Returns:
@@ -168,6 +169,9 @@ def rows(count: int, seed: int) -> list[tuple[str, str]]:
             outcomes[f"{whole.case.name}: killed {what}"].append(done)
         table = [(what, _told(done)) for what, done in sorted(outcomes.items())]
         table.append(("all kills", _told([one for done in outcomes.values() for one in done])))
+        for command in commands(folder / "of commands"):
+            losses = killed(command, folder / command.name, max(count // 3, 1), rng)
+            table.append((f"{command.name}: killed", _costs(losses)))
         return table + _two_writers(wholes, folder)
 
 
@@ -190,6 +194,13 @@ def _told(outcomes: list[Outcome]) -> str:
     text += f"{sum(one.rows_lost for one in outcomes)} rows lost"
     wrong = [one.refused or ", ".join(one.differing) for one in outcomes]
     return "; ".join([text, *sorted({" ".join(word.split()) for word in wrong if word})])
+
+
+def _costs(losses: list[Loss]) -> str:
+    free = sum(not loss.text for loss in losses)
+    what = sorted({" ".join(loss.text.split()) for loss in losses if loss.text})
+    text = f"{len(losses)} killed: {free} lost nothing, left nothing, and were done again"
+    return "; ".join([text, *what])
 
 
 def _two_writers(wholes: list[Uninterrupted], folder: Path) -> list[tuple[str, str]]:

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -287,3 +288,26 @@ def test_times_since_1970_are_shown_as_dates(tmp_path, begins_s, kind):
                 times = batch.column(batch.schema.names.index(entities.TIMELINE_TIME))
                 assert str(times.type).startswith(kind)
                 assert times.cast("int64")[0].as_py() == pytest.approx(begins_s * 1e9, abs=1e3)
+
+
+def test_a_writer_that_died_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rerun itself waits for ever, where the writer dies between two questions."""
+    asked = threading.Event()
+
+    class Dead:
+        def flush(self, timeout_sec: float) -> None:
+            assert timeout_sec < 1000
+            raise RuntimeError("Flush timed out - not all log messages were sent")
+
+        def disconnect(self) -> None:
+            asked.set()
+            time.sleep(5)
+
+    monkeypatch.setattr(recording.scene, "log_rig", lambda *_: None)
+    monkeypatch.setattr(recording.rr, "unregister_shutdown", lambda: None)
+    log = RunRecording(Dead(), [BODY], CAMERAS, 0)  # type: ignore[arg-type]
+    begun_s = time.monotonic()
+    with pytest.raises(RuntimeError, match="timed out"):
+        log.close()
+    assert time.monotonic() - begun_s < 4
+    assert asked.wait(4)
