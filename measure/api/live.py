@@ -128,7 +128,7 @@ def live(
         for frame_set, found in measure_frame_sets(pipelines, frame_sets()):
             rig.note_copies(frame_set.images, found[0].copies)
             known = [_with_away(each, rig.away) for each in found]
-            sending.send(_sent_poses(sent, known), images=frame_set.images)
+            sending.send(_sent_poses(sent, known, rig.clock_s()), images=frame_set.images)
             writer.append(*known)
             log.add(known, frame_set)
             state = watch.state(known)
@@ -224,12 +224,12 @@ def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:
     return replace(measured, reason="; ".join(filter(None, (measured.reason, *missing))))
 
 
-def _sent_poses(run: SentRun, measured: Sequence[Measurement]) -> list[SentPose]:
+def _sent_poses(run: SentRun, measured: Sequence[Measurement], known_s: float) -> list[SentPose]:
     """The poses of a frame set, and those relative to the reference."""
     names = [body.name for body in run.bodies]
-    own = [sent_pose(one, name) for one, name in zip(measured, names, strict=True)]
+    own = [sent_pose(one, name, known_s=known_s) for one, name in zip(measured, names, strict=True)]
     relative = relative_measurements(run.bodies, measured, run.reference, run.cameras)
-    return own + [sent_pose(one, name, run.reference) for name, one in relative.items()]
+    return own + [sent_pose(one, name, run.reference, known_s) for name, one in relative.items()]
 
 
 class _PaceMeter:

@@ -73,9 +73,17 @@ def _build(text: str, settings: Mapping[str, Any], registry: Registry, run: Sent
         raise ConfigError(f"--send {text}: {problem}; {forms}") from None
 
 
-def sent_pose(measured: Measurement, body: str, reference: str = "") -> SentPose:
-    """A measurement of pictures that were taken when its clock says, as sinks get it."""
-    head = body, reference, measured.index, measured.time_s, measured.time_s, time.time()
+def sent_pose(
+    measured: Measurement, body: str, reference: str = "", known_s: float | None = None
+) -> SentPose:
+    """A measurement of pictures that were taken when its clock says, as sinks get it.
+
+    Args:
+        known_s: the time now on that clock, which goes on evenly while the machine's is set; by
+            default the machine's.
+    """
+    known_s = time.time() if known_s is None else known_s
+    head = body, reference, measured.index, measured.time_s, measured.time_s, known_s
     return SentPose(*head, measured.status.value, measured.doubts, measured.pose)
 
 

@@ -63,6 +63,11 @@ def _paced(shots: Iterator[Shot], address: str) -> Iterator[Shot]:
 
 def _stream_of(answer: HTTPResponse, address: str) -> BufferedIOBase:
     """The body of an answer that is a stream of parts."""
+    if answer.headers.get("content-encoding", "identity").lower() != "identity":
+        raise CaptureError(
+            f"{address}: answers compressed, though that was not asked for: no camera does; give "
+            "the address of the camera's MJPEG stream"
+        )
     kind = answer.headers.get_content_type()
     if not kind.startswith("multipart/"):
         known = kind if len(kind) < _MAX_KIND and kind.isprintable() else "something"

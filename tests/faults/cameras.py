@@ -6,11 +6,13 @@ says what is told of it, and after how long.
 
 from __future__ import annotations
 
+import math
 import random
 import re
 import socket
 import struct
 import time
+import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
@@ -52,6 +54,25 @@ def _huge_head(wire: Wire, camera: HostileCamera) -> None:
     wire.send(OK, b"X-Long: ")
     time.sleep(0.02)
     wire.repeat(b"x" * 65_536, 0.001)
+
+
+def _bomb(coding: str) -> Callable[[Wire, HostileCamera], None]:
+    """An answer of zeros that are 4 GB once they are unpacked: a thousandth of that on the wire."""
+
+    def answer(wire: Wire, camera: HostileCamera) -> None:
+        kind = b"Content-Type: multipart/x-mixed-replace; boundary=picture\r\n"
+        wire.send(OK, kind, f"Content-Encoding: {coding}\r\n\r\n".encode())
+        packer = zlib.compressobj(9, wbits=31 if coding == "gzip" else 15)
+        block = bytes(1 << 20)
+        for _ in range(4096):
+            if not wire.is_wanted():
+                return
+            if packed := packer.compress(block):
+                wire.send(packed)
+        wire.send(packer.flush())
+        wire.hang()
+
+    return answer
 
 
 def _reset(wire: Wire, turn: Turn) -> None:
@@ -146,12 +167,19 @@ def _stamped(change: Callable[[float], float | None]) -> Callable[[Turn], bytes]
     return lambda turn: turn.part(**{"X-Timestamp": change(turn.taken_s)})
 
 
+def _jumping(turn: Turn) -> bytes:
+    """By a second, with every seventh picture."""
+    return turn.part(**{"X-Timestamp": turn.taken_s - 1.0 * (turn.number // 7)})
+
+
 FAULTS = (
     Fault("head byte by byte", True, lambda wire, _: wire.drip(OK + b"X-Long: " + b"x" * 4000)),
     Fault(
         "head without end", True, lambda wire, _: wire.repeat(b"HTTP/1.0 100 More\r\n\r\n", 0.01)
     ),
     Fault("header of gigabytes", True, _huge_head),
+    Fault("a bomb of 4 GB, gzip", True, _bomb("gzip")),
+    Fault("a bomb of 4 GB, deflate", True, _bomb("deflate")),
     Fault("redirects to itself", True, _redirects("http://127.0.0.1:{port}/again")),
     Fault("redirects to a file", True, _redirects("file:///etc/passwd")),
     Fault("redirects to another host", None, _redirects("http://127.0.0.1:{elsewhere}/elsewhere")),
@@ -196,6 +224,8 @@ FAULTS = (
     Fault("pictures of another camera", None, part=_sends(_strange)),
     Fault("no stamps", False, part=_sends(_stamped(lambda taken_s: None))),
     Fault("stamps backwards", False, part=_sends(_stamped(lambda taken_s: 1e9 - taken_s))),
+    Fault("stamps that are no numbers", False, part=_sends(_stamped(lambda taken_s: math.nan))),
+    Fault("stamps that jump back", False, part=_sends(_jumping)),
     Fault("stamps an hour ahead", False, part=_sends(_stamped(lambda taken_s: taken_s + 3600))),
     Fault("bursts", None, part=_burst),
     Fault("flood of nothing", True, part=_flood),

@@ -39,7 +39,7 @@ CLOCK_S = 5e-3
 WRONG_SD, WRONG_MM = 5.0, 0.5
 """A believed pose is wrong if it is off by more than both."""
 WARM_S = 60.0
-"""Memory is watched from then on."""
+"""Memory is watched by the least of so long a time, from the third such time on."""
 _LINE = re.compile(r"(cam\d) is (away|back)\b")
 
 
@@ -179,7 +179,7 @@ def soak(
         words = ["live", *(f"{n}={a}" for n, a in zip(NAMES, addresses, strict=True))]
         words += ["-o", str(folder / "run"), "--calibration", str(session / "calibration.toml")]
         words += ["--body", str(session / "body.toml"), "--no-recording", "--images", "none"]
-        words += ["--send", f"127.0.0.1:{receiver.getsockname()[1]}"]
+        words += ["--send", f"udp://127.0.0.1:{receiver.getsockname()[1]}"]
         printed = stack.enter_context((folder / "printed.txt").open("w"))
         process = stack.enter_context(_command([*words, "--seconds", str(seconds)], printed))
         stack.callback(process.kill)
@@ -235,12 +235,12 @@ def errors(watcher: Watcher, camera: HostileCamera, session: Path) -> np.ndarray
 
 
 def growth_mb(memory_mb: list[tuple[float, float]]) -> float:
-    """By how much the least memory of a minute grew after the first."""
+    """By how much the least memory of a minute grew after the first two."""
     least: dict[int, float] = {}
     for at_s, size in memory_mb:
         minute = int(at_s // WARM_S)
         least[minute] = min(size, least.get(minute, size))
-    later = [size for minute, size in sorted(least.items()) if minute >= 1]
+    later = [size for minute, size in sorted(least.items()) if minute >= 2]
     return max(later) - later[0] if later else float("nan")
 
 
@@ -273,7 +273,7 @@ def rows(count: int, seed: int) -> list[tuple[str, str]]:
             else "none",
         ),
         ("outages told where there was none", "; ".join(watcher.needless) or "none"),
-        ("memory", f"grew by {growth_mb(watcher.memory_mb):.1f} MB after the first minute"),
+        ("memory", f"grew by {growth_mb(watcher.memory_mb):.1f} MB after the first two minutes"),
         ("passwords seen", ", ".join(leaks) or "none"),
     ]
     return out

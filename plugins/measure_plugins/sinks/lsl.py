@@ -34,6 +34,8 @@ class LslSink(Sink):
         if not self.address:
             raise ConfigError("expected a name for the stream")
         self._lsl = needed("pylsl", "lsl")
+        # As the cameras do, once: the machine's clock may be set later on.
+        self._begun_s = time.time() - float(self._lsl.local_clock())
         self._poses: Any = None
         self._marks: Any = None
         self._sample, self._of, self._exposed_s = list[float](), -1, 0.0
@@ -86,7 +88,7 @@ class LslSink(Sink):
 
     def _clock(self, since_1970_s: float) -> float:
         """That time on the clock of LSL."""
-        return float(self._lsl.local_clock()) - (time.time() - since_1970_s)
+        return since_1970_s - self._begun_s
 
 
 @hookimpl
