@@ -111,8 +111,10 @@ class DuplicateImages:
         return Duplicates(tuple(repeated), tuple(shared))
 
     def _repeats(self, image: Image, print_: Hashable) -> bool:
-        latest = self._latest.get(image.camera)
-        return bool(latest) and latest[-1][0] != image.frame and latest[-1][1] == print_
+        if image.camera not in self._latest:
+            return False
+        frame, last = self._latest[image.camera][-1]
+        return frame != image.frame and last == print_
 
 
 def _fingerprint(image: Image) -> Hashable:
