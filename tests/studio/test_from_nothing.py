@@ -167,6 +167,7 @@ def wave_the_board(page, kind, waits):
         choose(page, "Board", kind.name)
     press(page, "wave the board")
     page.wait_for(f"/cam/.test({ADVICE})", 30)
+    page.wait_for("document.querySelectorAll('.over circle.corner').length > 6", 30)
     waits.note(page, "waving", f"{FOOT}.includes('calibrating') || {JUDGEMENT}", 240)
     waits.note(page, "calibrating", f"/The cameras are calibrated/.test({JUDGEMENT})", 120)
     page.wait_for(is_done("Calibration"), 20)
