@@ -136,6 +136,14 @@ class Preview:
             seen = [view.detection for view in measured.views if view.camera == name]
             self.note_balls(name, [one for one in seen if one is not None])
 
+    def forget_balls(self) -> None:
+        """Other balls are looked for from now on."""
+        self._balls = {}
+
+    def has_looked(self, camera: str) -> bool:
+        """Whether balls were looked for in a camera's pictures."""
+        return camera in self._balls
+
     def balls(self, camera: str) -> tuple[str, ...]:
         """Names of the balls that were seen of late."""
         since, found = self._balls.get(camera, (-math.inf, ()))
@@ -169,7 +177,7 @@ class Preview:
         spoiled = cv2.resize(clipped(pixels), size, interpolation=cv2.INTER_NEAREST)
         small[spoiled > 0] = _MARK_BGR
         if self.balls(camera):
-            for one in self._balls[camera][1]:
+            for one in self._balls.get(camera, (0.0, ()))[1]:
                 u, v = np.rint(scale * one.center_px).astype(int).tolist()
                 radius = max(2, round(scale * one.radius_px))
                 cv2.circle(small, (u, v), radius, _BALL_BGR, 2, cv2.LINE_AA)
@@ -229,6 +237,7 @@ class BallWatch:
         self._preview, self._cameras, self._body = preview, cameras, read_body(body)
         self._build = partial(build_detectors, load_profile(), registry, self._body)
         self._stop = threading.Event()
+        preview.forget_balls()
         threading.Thread(target=self._work, daemon=True).start()
 
     def stop(self) -> None:

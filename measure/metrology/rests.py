@@ -130,7 +130,7 @@ def find_rests(poses: PoseTable, shared: SharedErrors, shortest_s: float = SHORT
     shares = _shares(poses, np.array(windows))
     quiet = shares[shares <= _MOST_SHARE]
     floor = max(float(np.quantile(quiet, _QUIETEST)), _LEAST_SHARE) if len(quiet) else np.nan
-    limit = _STILL_RATIO * floor
+    limit = min(_STILL_RATIO * floor, _MOST_SHARE)
     still = [window for window, share in zip(windows, shares, strict=True) if share <= limit]
     found = [
         _averaged(poses.take(slice(*part)), shared)

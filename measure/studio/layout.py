@@ -175,10 +175,19 @@ def choice(
     label: str, bench: Bench, files: Sequence[Path], several: bool = False, newest: bool = True
 ) -> ui.select:
     """A choice among files of the folder, the newest at first; none of them is a choice, too."""
-    names = [str(file.relative_to(bench.folder)) for file in files]
-    first = names[:1] if newest else []
+    told = {str(f.relative_to(bench.folder)): api.described(f, bench.folder) for f in files}
+    first = [*told][:1] if newest else []
     value = first if several else next(iter(first), None)
-    made = ui.select(names, label=label, value=value, multiple=several, clearable=True)
+    made = ui.select(told, label=label, value=value, multiple=several, clearable=not several)
+    before = list(first)
+
+    def keep() -> None:
+        """A click on the only one that is chosen does not take it away."""
+        if several and not made.value and before:
+            made.value = list(before)
+        before[:] = made.value if several else []
+
+    made.on_value_change(keep)
     return made.classes("field")
 
 

@@ -2,23 +2,48 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import events, ui
 
 from measure import api
 from measure.errors import ConfigError
 from measure.studio.bench import Bench, Job
-from measure.studio.layout import act, camera_card, choice, chosen, link, page, told, tried
+from measure.studio.layout import (
+    Hint,
+    act,
+    camera_pictures,
+    choice,
+    chosen,
+    details,
+    empty,
+    intro,
+    page,
+    put,
+    tell,
+    told,
+    tried,
+)
+from measure.studio.words import plain
 
 _LISTED = 8  # Rests, and events, that are listed, the latest
 _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
+_OLD_S = 2.0  # After so long without a pose the last one is no longer shown as if it were live
+_TRUTH = "truth.csv"  # In the folder, if there is one
+_WORDS = {"ok": ("OK", "good"), "flagged": ("DOUBTFUL", "weak")}
+"""State of a pose in large letters, and its colour; all others are lost."""
+_KEYS_OF_FRAME = """(e) => e.target.contentWindow?.addEventListener("keydown", (k) =>
+    document.body.dispatchEvent(
+        new KeyboardEvent("keydown", {key: k.key, code: k.code, bubbles: true})))"""
+"""A frame that was clicked into has the keyboard: what is struck there counts here, too."""
 
 
 @dataclass
@@ -34,6 +59,8 @@ class _Live:
     session: Path | None = None
     report: Path | None = None
     state: api.LiveState | None = None
+    goes_on: bool = False
+    heard_s: float = 0.0
     rests: dict[str, api.RestsSoFar] = field(default_factory=dict)
 
     def record(self, calibrations: list[Path], bodies: list[Path]) -> None:
@@ -69,6 +96,8 @@ class _Live:
             self.rests = {body.name: api.RestsSoFar(body, rig) for body in read}
             with ExitStack() as stack:
                 stack.callback(setattr, bench, "viewer", "")
+                stack.callback(setattr, self, "goes_on", False)
+                self.goes_on = True
                 made = replace(options, stop=job.stop)
                 if self.viewer and bench.local:
                     bench.viewer, listens = stack.enter_context(api.web_viewer())
@@ -84,11 +113,33 @@ class _Live:
         return self.bench.folder / api.next_free(self.bench.folder, stem)
 
     def _hear(self, state: api.LiveState) -> None:
-        self.state = state
+        self.state, self.heard_s = state, time.time()
+        if self.bench.job is not None:
+            self.bench.job.lasts(self.seconds)
         self.bench.note_counts(state.cameras)
         for rests, measured in zip(self.rests.values(), state.latest, strict=True):
             rests.add(measured)
             self.bench.preview.note_measured(measured)
+
+    @property
+    def truth(self) -> Path | None:
+        """The truth that the run can be compared with; None without one."""
+        there = self.bench.folder / _TRUTH
+        return there if self.report is not None and there.is_file() else None
+
+    def age(self) -> str:
+        """Why what is shown is old; empty while poses come."""
+        if self.state is None or (self.goes_on and time.time() - self.heard_s < _OLD_S):
+            return ""
+        at = f"{datetime.fromtimestamp(self.heard_s):%H:%M:%S}"
+        return f"old: of {at}, {'no pose has come since' if self.goes_on else 'when it ended'}"
+
+    def mark(self, what: str) -> str:
+        """Mark an event in the run that goes on."""
+        if self.run is None or not self.goes_on:
+            return Hint("nothing is being measured: M marks events while Measure goes on")
+        api.mark_event(self.run, what or "event")
+        return f"marked: {what or 'event'}"
 
     def check(self) -> None:
         """Say what is wrong or weak in the session."""
@@ -102,10 +153,10 @@ class _Live:
 
     def evaluate(self) -> None:
         """Compare the run with the truth in the folder."""
-        truth = self.bench.folder / "truth.csv"
+        truth = self.truth
 
         def work(_: Job) -> str:
-            found = api.evaluate(self.run or Path(), truth if truth.is_file() else None).body
+            found = api.evaluate(self.run or Path(), truth).body
             error = "no pose to compare" if found is None else f"{found.rms_3d_mm:.3f} mm RMS"
             return f"position error against the truth: {error}"
 
@@ -116,58 +167,75 @@ def add(bench: Bench) -> None:
     """Add the page."""
     live = _Live(bench)
 
-    @ui.page("/measure", title="Measure")
+    @ui.page("/measure")
     def measure() -> None:
         with page(bench, "/measure"):
+            intro("Place the body before the cameras, and measure it until you stop.")
             _settings(bench, live)
             _figures(live)
             _afterwards(bench, live)
             frame = ui.element("iframe").classes("viewer").props('title="3-D viewer"')
+            frame.on("load", js_handler=_KEYS_OF_FRAME)
             ui.timer(1.0, lambda: _show_viewer(frame, bench.viewer.partition("?")[2]))
-            with ui.element("div").classes("cards"):
-                for one in bench.cameras:
-                    camera_card(bench, one.name, 320, partial(_camera_line, bench, one.name))
+            camera_pictures(bench, partial(_camera_line, bench), lambda _: "")
 
 
 def _settings(bench: Bench, live: _Live) -> None:
     there = api.contents_of(bench.folder)
     with ui.row().classes("line"):
+        act("Measure", "straighten", lambda: live.measure(*given()), primary=True)
+        act("Record", "fiber_manual_record", lambda: live.record(*given()))
         calibration = choice("Calibration", bench, there.calibrations)
         bodies = choice("Bodies", bench, there.bodies, several=True)
+
+    def given() -> tuple[list[Path], list[Path]]:
+        return chosen(bench, calibration), chosen(bench, bodies)
+
+    with details("More: profile, time, pictures, 3-D viewer"), ui.row().classes("line"):
         ui.select([*api.profile_names()], label="Profile").bind_value(live, "profile")
         seconds = ui.number("Seconds (empty: until stopped)", min=0.1).classes("field")
         seconds.bind_value(live, "seconds")
         ui.checkbox("keep the pictures").bind_value(live, "keep")
         ui.checkbox("3-D viewer").bind_value(live, "viewer").set_enabled(bench.local)
-
-    def given() -> tuple[list[Path], list[Path]]:
-        return chosen(bench, calibration), chosen(bench, bodies)
-
-    def mark() -> None:
-        if (run := live.run) is not None and bench.busy:
-            api.mark_event(run, what.value or "event")
-
-    with ui.row().classes("line"):
-        act("Record", "fiber_manual_record", lambda: live.record(*given()))
-        act("Measure", "straighten", lambda: live.measure(*given()))
-        act("Mark (M)", "flag", mark)
+    with ui.row().classes("line") as marking:
+        act("Mark (M)", "flag", lambda: live.mark(what.value))
         what = ui.input("Event", value="event")
-    ui.keyboard(
-        lambda pressed: tried(mark) if pressed.action.keydown and pressed.key == "m" else None,
-        ignore=["input", "textarea"],
-    )
+    ui.timer(0.5, lambda: marking.set_visibility(live.goes_on))
+
+    async def strike(pressed: events.KeyEventArguments) -> None:
+        if not pressed.action.keydown or pressed.action.repeat or pressed.key != "m":
+            return
+        if said := await tried(lambda: live.mark(what.value)):
+            tell(said, "warning" if isinstance(said, Hint) else "positive")
+
+    ui.keyboard(strike, ignore=["input", "textarea"])
 
 
 def _figures(live: _Live) -> None:
-    """Poses in large figures; rests and events below."""
-    told(
-        lambda: "\n".join(map(_pose, live.state.latest)) if live.state else "no pose yet",
-        *("figure", "data-pose"),
-    )
-    told(lambda: _pace(live, live.state) if live.state else "", "hint")
+    """The state in large letters, poses in large figures; rests and events below."""
+    nothing = empty("The state of each body and its pose come here.")
+    poses = ui.html("", sanitize=False).classes("poses").props("data-pose")
+
+    def show() -> None:
+        nothing.set_visibility(live.state is None)
+        nothing.text = (
+            "The first pose comes in some seconds ..."
+            if live.goes_on
+            else "The state of each body and its pose come here."
+        )
+        poses.set_visibility(live.state is not None)
+        if live.state is not None:
+            shown = zip(live.rests, live.state.latest, strict=True)
+            poses.set_content("".join(_pose(name, one, live.age()) for name, one in shown))
+        put(poses, "old", bool(live.age()))
+
+    ui.timer(0.3, show)
+    told(lambda: _pace(live.state) if live.state else "", "hint")
     with ui.row().classes("line"):
-        columns = [{"name": name, "label": name, "field": name} for name in _REST_COLUMNS]
-        rests = ui.table(rows=[], columns=columns).props("flat dense")
+        columns = [
+            {"name": name, "label": name, "field": name, "align": "left"} for name in _REST_COLUMNS
+        ]
+        rests = ui.table(rows=[], columns=columns).props("flat dense wrap-cells").classes("rests")
         told(lambda: "\n".join(_event_lines(live.run)) if live.run else "", mark="data-events")
 
     async def settle() -> None:
@@ -177,15 +245,26 @@ def _figures(live: _Live) -> None:
     ui.timer(2.0, settle)
 
 
-def _pose(measured: api.Measurement) -> str:
-    pose = measured.pose
-    if pose is None:
-        return f"{measured.status.value}: {measured.reason}"
-    x, y, z = pose.world_from_body.translation
-    a, b, c = np.degrees(pose.world_from_body.rotvec)
+def _pose(name: str, measured: api.Measurement, age: str) -> str:
+    """A body's state and pose as HTML: a pose that is not believed is grey, its ± struck out."""
+    word, kind = _WORDS.get(measured.status.value, ("LOST", "wrong"))
+    reason = escape(plain(measured.reason))
+    figures = f'<div class="lines">{reason}</div>' if reason else ""
+    if (pose := measured.pose) is not None:
+        x, y, z = pose.world_from_body.translation
+        a, b, c = np.degrees(pose.world_from_body.rotvec)
+        sd = "span" if measured.status.value == "ok" else "s"
+        figures = (
+            f'<div class="figure">x {x:.2f}  y {y:.2f}  z {z:.2f}  '
+            f"<{sd}>± {pose.position_sd_mm:.3f} mm</{sd}>\n"
+            f"turned {a:.2f}  {b:.2f}  {c:.2f}  <{sd}>± {pose.rotation_sd_deg:.3f} deg</{sd}>"
+            f"</div>{figures}"
+        )
+    state = f'<span class="state {kind}">{word}</span>'
+    old = f'<span class="age">{escape(age)}</span>' if age else ""
     return (
-        f"x {x:.2f}  y {y:.2f}  z {z:.2f}  ± {pose.position_sd_mm:.3f} mm\n"
-        f"turned {a:.2f}  {b:.2f}  {c:.2f}  ± {pose.rotation_sd_deg:.3f} deg"
+        f'<div class="pose {measured.status.value}" data-state="{word}">'
+        f'{state}<span class="whose">{escape(name)}</span>{old}{figures}</div>'
     )
 
 
@@ -197,12 +276,8 @@ def _event_lines(run: Path) -> list[str]:
     return lines[-_LISTED:]
 
 
-def _pace(live: _Live, state: api.LiveState) -> str:
-    lines = [
-        f"{name}: {one.status.value}" + (f" ({one.reason})" if one.reason else "")
-        for name, one in zip(live.rests, state.latest, strict=True)
-    ]
-    lines += [f"{', '.join(state.away)} away"] if state.away else []
+def _pace(state: api.LiveState) -> str:
+    lines = [f"{', '.join(state.away)} away"] if state.away else []
     pace = f"{state.frame_sets} frame sets, {state.rate_hz:.1f} per s"
     return "; ".join([*lines, f"{pace}, known after {1e3 * state.age_s:.0f} ms"])
 
@@ -222,9 +297,17 @@ def _rest_rows(live: _Live) -> list[dict[str, Any]]:
 def _afterwards(bench: Bench, live: _Live) -> None:
     """What can be made of the run, or of the recording."""
     with ui.row().classes("line"):
-        link("Report", bench, lambda: live.report)
-        act("Check", "rule", live.check).bind_visibility_from(live, "session", bool)
-        act("Evaluate", "compare", live.evaluate).bind_visibility_from(live, "report", bool)
+        report = ui.link("Open the report", "", new_tab=True).classes("act primary")
+        act("Check the recording", "rule", live.check).bind_visibility_from(live, "session", bool)
+        compare = act("Compare with the truth", "compare", live.evaluate)
+
+    def show() -> None:
+        if live.report is not None:
+            report.props(f'href="/file/{live.report.relative_to(bench.folder)}"')
+        report.set_visibility(live.report is not None and not bench.busy)
+        compare.set_visibility(live.truth is not None)
+
+    ui.timer(0.5, show)
 
 
 def _show_viewer(frame: ui.element, query: str) -> None:

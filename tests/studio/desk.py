@@ -75,7 +75,8 @@ def choose(page: Chromium, label: str, text: str) -> None:
     field = f"""[...document.querySelectorAll('.q-select')]
         .find(s => s.innerText.includes({label!r}))"""
     page.wait_for(f"!!{field}", 20)
-    option = f"[...document.querySelectorAll('.q-menu .q-item')].find(i => i.innerText == {text!r})"
+    option = f"""[...document.querySelectorAll('.q-menu .q-item')]
+        .find(i => i.innerText.split(' · ')[0] == {text!r})"""
     closed = "!document.querySelector('.q-menu')"
     click = f"{field}.querySelector('.q-field__control').click()"
 
