@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from measure.cli import main
+from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium, find_chromium
 from tests.faults.cameras import FAULTS
 from tests.faults.hostile_camera import HostileCamera, hostile
-from tests.studio.desk import go, studio
+from tests.studio.desk import fill, go, press, strike, studio
 
 pytestmark = [
     pytest.mark.browser,
@@ -46,6 +47,47 @@ def test_a_camera_that_falls_out_is_red_at_once_and_comes_back(rng, tmp_path):
             page.wait_for(f"!{away}", 30)
             width = page.evaluate("document.documentElement.scrollWidth")
             assert width <= 420
+
+
+def test_a_typo_is_no_camera_and_people_name_cameras(rng, tmp_path):
+    """Each address is tried first; a camera is taken away only after a question."""
+    cameras = "document.querySelectorAll('[data-camera]').length == {}"
+    said = "document.body.innerText.includes({!r})"
+    known = tmp_path / "cameras.txt"
+    with (
+        serving({"cam0": ServedCamera(pictures(rng), 0.1)}) as found,
+        Chromium(390, 840) as page,
+        studio(tmp_path) as url,
+    ):
+        address = found["cam0"]
+        go(page, url)
+        for typo, refusal in (
+            ("http://127.0.0.1:1/x", "cam0 was not added: "),
+            ("../käm=" + address, "was not added"),
+            ("x" * 300 + "=" + address, "a camera's name"),
+        ):
+            fill(page, "Camera", typo)
+            strike(page, "Enter", "\r")
+            page.wait_for(said.format(refusal), 20)
+            assert page.evaluate(cameras.format(0))
+            assert known.read_text("utf-8") == ""
+        for name in ("käm links", "右カメラ", "k" * 200):
+            fill(page, "Camera", f"{name}={address}")
+            strike(page, "Enter", "\r")
+            page.wait_for(said.format(name), 20)
+        kept = known.read_text("utf-8")
+        assert kept == "".join(f"{n}={address}\n" for n in ("käm links", "右カメラ", "k" * 200))
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        page.evaluate("document.querySelector('[aria-label=\"remove käm links\"]').click()")
+        press(page, "keep it")
+        page.idle(0.6)
+        assert page.evaluate(cameras.format(3))
+        page.evaluate("document.querySelector('[aria-label=\"remove käm links\"]').click()")
+        press(page, "take it away")
+        page.wait_for(cameras.format(2), 20)
+        assert "käm" not in known.read_text("utf-8")
+        press(page, "find cameras of")
+        page.wait_for(said.format("at this computer"), 20)
 
 
 def test_what_cannot_be_served_is_refused_in_one_line(tmp_path, capsys):
