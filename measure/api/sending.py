@@ -53,6 +53,9 @@ def open_sending(options: SendOptions, registry: Registry, run: SentRun) -> Send
         (text.partition("?")[0], _build(text, chosen[scheme], registry, run))
         for scheme, text in zip(schemes, options.send, strict=True)
     ]
+    for address, sink in sinks:
+        for line in sink.notes:
+            options.note(f"{address}: {line}")
     return Sending(sinks, options.note)
 
 

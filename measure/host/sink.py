@@ -82,6 +82,7 @@ class Sink(Plugin):
         config: its settings.
         address: what was typed, without the scheme.
         run: what is sent.
+        notes: lines for the user about what is sent, made by `prepare`.
         undelivered: how many poses it took and could not hand to every receiver.
     """
 
@@ -90,7 +91,7 @@ class Sink(Plugin):
 
     def __init__(self, config: Settings, address: str, run: SentRun) -> None:
         self.config, self.address, self.run = config, address, run
-        self.undelivered = 0
+        self.undelivered, self.notes = 0, list[str]()
         self.prepare()
 
     @abstractmethod

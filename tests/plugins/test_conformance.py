@@ -30,7 +30,6 @@ KITS = {
 
 
 QUICK = {
-    "igtl": {"body": "tool"},  # the example's body has a long name
     "zenoh": {"connect": "tcp/127.0.0.1:9"},  # not the network
     "forest": {"trees": 5},
     "gp": {"points": 200, "tuning_points": 100},

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 import socket
 import struct
+import unicodedata
 from contextlib import suppress
 
-from measure.errors import ConfigError
 from measure.host import SentPose, Settings, Sink, hookimpl, host_port, needed, setting
 
+_LETTERS, _FRAME_LETTERS = 20, 9  # Of a device name, and of the frame's share in it
+_USUAL = "127.0.0.1:18944"  # The port that the protocol's programs look at first
 _NOT_FOUND = 4  # The code of a STATUS that says what was asked for is not there
 
 
@@ -27,19 +29,19 @@ class IgtlSink(Sink):
     """
 
     name = "igtl"
-    form = "igtl://HOST:PORT"
+    form = "igtl://[HOST:PORT]"
     Config = IgtlSettings
     config: IgtlSettings
 
     def prepare(self) -> None:
         """Read the address and load the libraries."""
-        self._place = host_port(self.address)
+        self._place = host_port(self.address or _USUAL)
         self._messages = needed("pyigtl.messages", "igtl")
-        names = [self._device(*stream) for stream in self.run.streams]
-        for name in names:
-            if len(name) > 20 or names.count(name) > 1 or not name.isascii():
-                wrong = f"'{name}' is no name of its own of at most 20 ASCII letters"
-                raise ConfigError(f"{wrong}: give shorter ones with ?body= and &world=")
+        self._names = self._device_names()
+        self.notes = [
+            f"{' in '.join(filter(None, stream))} is sent as {name}"
+            for stream, name in self._names.items()
+        ]
         self._server: socket.socket | None = None
         # With what a receiver has not taken of a message yet: it gets that before the next.
         self._clients: dict[socket.socket, bytes] = {}
@@ -52,7 +54,7 @@ class IgtlSink(Sink):
 
     def send(self, pose: SentPose) -> None:
         """One message to each receiver."""
-        name = self._device(pose.body, pose.reference)
+        name = self._names.get((pose.body, pose.reference), "")
         if pose.pose is None:
             status = struct.pack(">Hq20s", _NOT_FOUND, 0, pose.status.encode())
             content = status + pose.reason.encode() + b"\0"
@@ -78,11 +80,23 @@ class IgtlSink(Sink):
             one.close()
         self._clients, self._server = {}, None
 
-    def _device(self, body: str, reference: str) -> str:
-        """The name that PLUS would give it, such as ToolToReference."""
-        names = self.config.body or body, reference or self.config.world
-        words = (re.split(r"[\W_]+", name) for name in names)
-        return "To".join("".join(w[:1].upper() + w[1:] for w in some) for some in words)
+    def _device_names(self) -> dict[tuple[str, str], str]:
+        """For every stream the name that PLUS would give it, such as ToolToReference.
+
+        OpenIGTLink leaves 20 letters of ASCII: accents are dropped and words run together; what is
+        too long is cut, and of names that would be alike the later ones end in a number.
+        """
+        out: dict[tuple[str, str], str] = {}
+        for body, reference in self.run.streams:
+            frame = _word(reference or self.config.world)[:_FRAME_LETTERS] or "World"
+            most = _LETTERS - len("To") - len(frame)
+            word, number = (_word(self.config.body or body) or "Body"), 1
+            name = f"{word[:most]}To{frame}"
+            while name in out.values():
+                number += 1
+                name = f"{word[: most - len(str(number))]}{number}To{frame}"
+            out[body, reference] = name
+        return out
 
     def _send_to(self, client: socket.socket, data: bytes) -> bool:
         """Send what is left and then `data`; whether it is on its way."""
@@ -102,6 +116,13 @@ class IgtlSink(Sink):
             del self._clients[client]
             client.close()
         return True
+
+
+def _word(name: str) -> str:
+    """A name as one word of ASCII letters and digits; empty where nothing of it is left."""
+    plain = unicodedata.normalize("NFKD", name.replace("ß", "ss"))
+    words = re.split(r"[^A-Za-z0-9]+", plain.encode("ascii", "ignore").decode())
+    return "".join(word[:1].upper() + word[1:] for word in words)
 
 
 @hookimpl

@@ -22,7 +22,6 @@ from websockets.sync.client import connect
 from benchmarks.sinks import HOST, address, body, camera, free_port, measurement
 from measure.api.sending import SendOptions, open_sending, sent_pose
 from measure.cli import main
-from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentRun, Sink
 from measure.model import Image
 from tests.receiving import wait_for
@@ -76,10 +75,31 @@ def test_igtl_names_are_those_of_plus_and_a_lost_body_is_a_status():
     )
 
 
-@pytest.mark.parametrize("names", [("a_very_long_name_of_a_tool",), ("tool-1", "tool_1")])
-def test_igtl_refuses_names_that_it_would_cut_or_mix_up(names):
-    with pytest.raises(ConfigError, match="is no name of its own of at most 20 ASCII letters"):
-        build("igtl://127.0.0.1:18944", run_of(*names))
+HOSTILE = [
+    "Wörkpiece №1", "a/b #*?$ tool", "三つの球", "四つの球", "x" * 180, "x" * 181, "..", "ß",
+    "raven three-ball body", "raven three-ball base", "tool-1", "tool_1",
+]  # fmt: skip
+
+
+def test_igtl_shortens_every_name_by_one_rule_and_tells_it():
+    sink = build("igtl://", run_of(*HOSTILE, reference="raven three-ball base"))
+    names = [line.rpartition(" is sent as ")[2] for line in sink.notes]
+    assert len(set(names)) == len(names) == 2 * len(HOSTILE) - 1
+    assert all(re.fullmatch("[A-Za-z0-9]{1,20}", name) for name in names)
+    assert names[:4] == [
+        "WorkpieceNoToTracker",
+        "ABToolToTracker",
+        "BodyToTracker",
+        "Body2ToTracker",
+    ]
+    assert {"RavenThreeBToTracker", "RavenThree2ToTracker", "SsToTracker"} <= set(names)
+    assert {"Tool1ToTracker", "Tool12ToTracker"} <= set(names)
+
+
+def test_igtl_tells_the_name_where_poses_are_sent():
+    lines, run = list[str](), run_of("raven three-ball body")
+    open_sending(SendOptions((address("igtl"),), note=lines.append), Registry.discover(), run)
+    assert lines[0].endswith("raven three-ball body is sent as RavenThreeBToTracker")
 
 
 def test_a_receiver_that_stops_reading_loses_its_own_poses_only():
