@@ -11,7 +11,6 @@ from contextlib import suppress
 from measure.host import SentPose, Settings, Sink, hookimpl, host_port, needed, setting
 
 _LETTERS, _FRAME_LETTERS = 20, 9  # Of a device name, and of the frame's share in it
-_USUAL = "127.0.0.1:18944"  # The port that the protocol's programs look at first
 _NOT_FOUND = 4  # The code of a STATUS that says what was asked for is not there
 
 
@@ -29,13 +28,13 @@ class IgtlSink(Sink):
     """
 
     name = "igtl"
-    form = "igtl://[HOST:PORT]"
+    form = "igtl://HOST:PORT"
     Config = IgtlSettings
     config: IgtlSettings
 
     def prepare(self) -> None:
         """Read the address and load the libraries."""
-        self._place = host_port(self.address or _USUAL)
+        self._place = host_port(self.address)
         self._messages = needed("pyigtl.messages", "igtl")
         self._names = self._device_names()
         self.notes = [

@@ -82,7 +82,7 @@ HOSTILE = [
 
 
 def test_igtl_shortens_every_name_by_one_rule_and_tells_it():
-    sink = build("igtl://", run_of(*HOSTILE, reference="raven three-ball base"))
+    sink = build("igtl://127.0.0.1:18944", run_of(*HOSTILE, reference="raven three-ball base"))
     names = [line.rpartition(" is sent as ")[2] for line in sink.notes]
     assert len(set(names)) == len(names) == 2 * len(HOSTILE) - 1
     assert all(re.fullmatch("[A-Za-z0-9]{1,20}", name) for name in names)
