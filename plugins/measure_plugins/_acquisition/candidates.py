@@ -78,7 +78,7 @@ def find_circles(pixels: Bytes, colors: Sequence[BallColor]) -> FoundCircles:
         table.setflags(write=False)
     small = find_small_circles(pixels, table, range(len(owners)), step, _MAX_CANDIDATES)
     more += zip(owners, small, strict=True)
-    for i, others in more:
+    for i, others in (one for one in more if len(one[1])):
         found[i] = distinct(np.concatenate([found[i], others]))[:_MAX_CANDIDATES]
     return FoundCircles(found[:count], with_dark)
 

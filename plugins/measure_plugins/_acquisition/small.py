@@ -28,7 +28,7 @@ _MIN_PIXELS = 4  # Fewest pixels of a patch in the lattice
 _MIN_FULL, _MIN_ASPECT = 0.5, 0.4
 """Least share of a patch's bounding box that it fills, and of the box's longer side that is its
 shorter one: a disc fills 0.79, and so does one that is half hidden."""
-_LARGEST = 20
+_LARGEST = 24
 """Largest patch, in pixels of the reduced picture: there, whole balls are found from a diameter of
 7 on, and half hidden ones from 20 on."""
 _MOST_PATCHES = 64  # Of a colour, the largest ones: more are noise, or texture
@@ -39,6 +39,9 @@ _SIDE_PX = _STEP * (_PATCH + 2 * _MARGIN)
 _MIN_SEEN, _MIN_FILLED = 0.4, 0.4
 """Least share of a circle in sight, and of its inside that has the colour: of half a ball."""
 _BESIDE = 0.5  # How far outside of its patch a circle's centre may be, in radii: hidden balls
+
+
+_NOTHING = np.empty((0, 0), np.uint8)
 
 
 class _Patches(NamedTuple):
@@ -64,12 +67,12 @@ def find_small_circles(
     Returns:
         (k, 6) for each, see `FoundCircles`.
     """
-    if step <= _STEP:
+    grid = classify(pixels, table, table, _LATTICE_PX)[0] if step > _STEP else _NOTHING
+    patches = [_small_patches(grid, bit, _LARGEST * step) for bit in bits]
+    count = sum(len(some.low) for some in patches)
+    if count == 0:
         return [np.empty((0, 6)) for _ in bits]
-    lattice = min(step, _LATTICE_PX)
-    grid, _ = classify(pixels, table, table, lattice)
-    patches = [_small_patches(grid, bit, lattice, _LARGEST * step) for bit in bits]
-    columns = max(1, round(sum(len(some.low) for some in patches) ** 0.5))
+    columns = round(count**0.5)
     rows = np.cumsum([0, *(-(-len(some.low) // columns) for some in patches)])
     sheet = np.zeros((_SIDE_PX * int(rows[-1]), _SIDE_PX * columns, 3), np.uint8)
     for some, row in zip(patches, rows.tolist(), strict=False):
@@ -82,25 +85,27 @@ def find_small_circles(
     ]
 
 
-def _small_patches(grid: Bytes, bit: int, lattice: int, largest_px: int) -> _Patches:
-    """Patches of a colour in every so many-th pixel that may be balls no larger than that."""
+def _small_patches(grid: Bytes, bit: int, largest_px: int) -> _Patches:
+    """Patches of a colour in a lattice of pixels that may be balls no larger than that."""
+    none = np.empty((0, 2), np.int64)
     used = np.nonzero((grid & np.uint8(1 << bit)).any(axis=1))[0]
-    first, last = (used[0], used[-1] + 1) if len(used) else (0, 0)
-    at, ends = borders(framed(grid[first:last], 1 << bit), _MIN_PIXELS)
+    if len(used) == 0:
+        return _Patches(none, none, none[:, 0])
+    first = int(used[0])
+    at, ends = borders(framed(grid[first : used[-1] + 1], 1 << bit), _MIN_PIXELS)
     if len(ends) == 0:
-        none = np.empty((0, 2), np.int64)
         return _Patches(none, none, none[:, 0])
     starts = np.concatenate([[0], ends[:-1]])
     low, high = np.minimum.reduceat(at, starts), np.maximum.reduceat(at, starts)
     (width, height), area = (high - low + 1).T, _areas(at, starts, ends)
     longer, shorter = np.maximum(width, height), np.minimum(width, height)
-    small = (lattice * longer <= largest_px) & (area >= _MIN_PIXELS)
+    small = (_LATTICE_PX * longer <= largest_px) & (area >= _MIN_PIXELS)
     small &= (area >= _MIN_FULL * longer * shorter) & (shorter >= _MIN_ASPECT * longer)
     which = np.nonzero(small)[0]
     which = which[np.argsort(-area[which], kind="stable")][:_MOST_PATCHES]
-    octave = np.ceil(np.log2(np.maximum(lattice * longer[which] / (_STEP * _PATCH), 1.0)))
+    octave = np.ceil(np.log2(np.maximum(_LATTICE_PX * longer[which] / (_STEP * _PATCH), 1.0)))
     down = np.array([0, first])
-    low, high = lattice * (low[which] + down), lattice * (high[which] + down + 1) - 1
+    low, high = _LATTICE_PX * (low[which] + down), _LATTICE_PX * (high[which] + down + 1) - 1
     return _Patches(low, high, 1 << octave.astype(np.int64))
 
 
@@ -123,12 +128,12 @@ def _lay_side_by_side(pixels: Bytes, patches: _Patches, sheet: Bytes, columns: i
     for k, ((x, y), scale) in enumerate(zip(origins, scales, strict=True)):
         left, top = max(x, 0), max(y, 0)
         some = pixels[top : y + _SIDE_PX * scale, left : x + _SIDE_PX * scale]
-        if scale > 1:
-            size = (-(-some.shape[1] // scale), -(-some.shape[0] // scale))
-            some = cv2.resize(some, size, interpolation=cv2.INTER_AREA)
+        height, width = -(-some.shape[0] // scale), -(-some.shape[1] // scale)
         u = k % columns * _SIDE_PX + (left - x) // scale
         v = k // columns * _SIDE_PX + (top - y) // scale
-        sheet[v : v + some.shape[0], u : u + some.shape[1]] = some
+        sheet[v : v + height, u : u + width] = (
+            cv2.resize(some, (width, height), interpolation=cv2.INTER_AREA) if scale > 1 else some
+        )
 
 
 def _circles_in(seen: Bytes, bit: int, patches: _Patches, columns: int, most: int) -> Floats:
