@@ -277,15 +277,19 @@ def _estimate(
     """Offsets and readout times (c, 2), and their standard deviations (c, 2)."""
     clocks = np.zeros((len(cameras), 2))
     sd = np.full((len(cameras), 2), np.inf)
+    nothing_known = clocks, sd
     for _ in range(_ITERATIONS):
         instants = _instants(seen, poses, cameras)
-        parts = [reduce_instant(instant, clocks, readout) for instant in instants]
+        try:
+            parts = [reduce_instant(instant, clocks, readout) for instant in instants]
+        except np.linalg.LinAlgError:  # poses have been led to where nothing is finite
+            return nothing_known
         bias = bias_deviations(instants, clocks, extra_px)
         step, sd = solve_clocks(parts, clocks, readout, bias)
         clocks = clocks + step
         # Cameras that contradict each other in their poses leave no offsets that fit.
         if not np.all(np.abs(clocks) <= _FARTHEST_S):
-            return np.zeros_like(clocks), np.full_like(sd, np.inf)
+            return nothing_known
         poses = [
             replace(
                 pose, world_from_body=pose.world_from_body.perturb(p.pose - p.adapts @ step.ravel())
