@@ -173,14 +173,14 @@ def _settings(bench: Bench, making: _Making) -> ui.select:
         )
         for label, value in (("Radius of the balls, mm", "radius_mm"), ("Seconds", "seconds")):
             ui.number(label, min=0.1).bind_value(making, value)
-        ball = ui.select([], label="Ball to click").classes("field")
+        first = [*api.read_body(like([])).names]
+        making.ball = making.ball if making.ball in first else None
+        ball = ui.select(first, label="Ball to click").classes("field")
+        ball.bind_value(making, "ball")
     with details("More: names and colours, calibration"), ui.row().classes("line"):
         body = choice("Names and colours as in", bench, there.bodies, newest=False)
         calibration = choice("Calibration", bench, there.calibrations)
         body.on_value_change(other)
-    making.ball = making.ball if making.ball in names() else None
-    ball.set_options(names(), value=making.ball)
-    ball.bind_value(making, "ball")
     return body
 
 
