@@ -87,6 +87,7 @@ from measure.api.recording import (
     usb_notes,
 )
 from measure.api.refining import FoundBody, RefineResult, find_body, refine
+from measure.api.rendered_cameras import DEMO_BOARDS, demo_cameras
 from measure.api.results import body_names, compare, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.synchronising import SyncedClock, sync
@@ -109,25 +110,26 @@ from measure.results.evaluation import evaluation_tables
 from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
 
 __all__ = [
-    "CAMERA_PORT", "COLORS", "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Accepted", "BallWatch",
-    "Calibration", "CalibrationResult", "Camera", "CameraAddress", "CameraCount", "CameraNow",
-    "CaptureOptions", "CaptureRequest", "Control", "Demo", "DeviceControls", "FocalFrom",
-    "FoundBody", "FoundCamera", "Lens", "LiveEnd", "LiveOptions", "LiveState", "Mark", "MarkKind",
-    "Marking", "Measurement", "Mode", "Outcome", "PictureFacts", "PlayEnd", "PlayOptions",
-    "Preview", "RecordedSession", "RefineResult", "Registry", "RenderOptions", "RestsSoFar",
-    "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "SimulationOptions",
-    "SweepOptions", "SyncedClock", "TipResult", "TrainOptions", "Verdict", "WatchedCamera",
-    "WaveState", "ablate", "accept", "begin_marks", "board_length", "body_names", "build_pipeline",
-    "calibrate", "calibrate_to", "camera_line", "camera_names", "cameras", "capture_board", "check",
-    "choose", "compare", "contents_of", "correct_simulated_robot", "demo", "described", "detect",
-    "draw", "draw_target", "drawings", "estimate_file", "estimate_online", "evaluate",
-    "evaluation_tables", "events", "export", "find_body", "inside", "learnt_colors", "live",
-    "load_profile", "make_dataset", "mark_event", "measure_bodies", "measure_session", "model_file",
-    "new_folder", "next_free", "output", "parse_cameras", "parse_click", "parse_controls",
-    "parse_expectation", "parse_images", "parse_settings", "parse_size", "pivot", "play",
-    "play_cameras", "profile_names", "read_body", "read_calibration", "record", "refine",
-    "register", "render_demo", "report", "rests", "rezero", "robot_recording", "run", "run_many",
-    "sampled_color", "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording",
-    "sweep", "sync", "train", "usb_notes", "web_viewer", "world", "world_by_board", "write_body",
-    "write_calibration", "write_measured_board", "write_sampled_body",
+    "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Accepted",
+    "BallWatch", "Calibration", "CalibrationResult", "Camera", "CameraAddress", "CameraCount",
+    "CameraNow", "CaptureOptions", "CaptureRequest", "Control", "Demo", "DeviceControls",
+    "FocalFrom", "FoundBody", "FoundCamera", "Lens", "LiveEnd", "LiveOptions", "LiveState", "Mark",
+    "MarkKind", "Marking", "Measurement", "Mode", "Outcome", "PictureFacts", "PlayEnd",
+    "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry", "RenderOptions",
+    "RestsSoFar", "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck",
+    "SimulationOptions", "SweepOptions", "SyncedClock", "TipResult", "TrainOptions", "Verdict",
+    "WatchedCamera", "WaveState", "ablate", "accept", "begin_marks", "board_length", "body_names",
+    "build_pipeline", "calibrate", "calibrate_to", "camera_line", "camera_names", "cameras",
+    "capture_board", "check", "choose", "compare", "contents_of", "correct_simulated_robot", "demo",
+    "demo_cameras", "described", "detect", "draw", "draw_target", "drawings", "estimate_file",
+    "estimate_online", "evaluate", "evaluation_tables", "events", "export", "find_body", "inside",
+    "learnt_colors", "live", "load_profile", "make_dataset", "mark_event", "measure_bodies",
+    "measure_session", "model_file", "new_folder", "next_free", "output", "parse_cameras",
+    "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
+    "parse_size", "pivot", "play", "play_cameras", "profile_names", "read_body", "read_calibration",
+    "record", "refine", "register", "render_demo", "report", "rests", "rezero", "robot_recording",
+    "run", "run_many", "sampled_color", "shipped_model", "shipped_targets", "simulate_dataset",
+    "simulate_recording", "sweep", "sync", "train", "usb_notes", "web_viewer", "world",
+    "world_by_board", "write_body", "write_calibration", "write_measured_board",
+    "write_sampled_body",
 ]  # fmt: skip

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
+from measure.cli.studio import check_studio, show_page
 from measure.learning import EstimatorEvaluation
 
 
@@ -18,6 +23,10 @@ def demo(
     overwrite: Overwrite = False,
     profile: str = "precise",
     frames: int = 30,
+    studio: bool = False,
+    board: str = api.DEMO_BOARDS[0],
+    port: int = 8080,
+    browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -27,11 +36,22 @@ def demo(
     mosaic, noise and JPEG artefacts; where the balls really were is known exactly. Then the second
     half of the way: the shipped network corrects a simulated robot's position, without a camera.
 
+    With `--studio` four rendered cameras are served to the set-up page instead, on a new folder in
+    `--out`: a board is waved before them until the folder has a calibration, then it lies still
+    until that has a world (or a body), then the body moves. It runs until interrupted (Ctrl-C).
+
     Args:
         out: folder for the session and the run.
         profile: how to measure: `precise`, `paper`, or the path of a profile of your own (.toml).
         frames: frame sets to render.
+        studio: try the set-up page with rendered cameras.
+        board: that is waved: `charuco_8x5_27` or `chessboard_9x6_25`.
+        port: of the set-up page; 0 for any that is free.
+        browser: open the set-up page in a browser.
     """
+    if studio:
+        _set_up(out, board, (port, browser), registry)
+        return
     chosen = api.load_profile(profile)
     with console.progress("rendering and measuring", "steps") as report:
         made = api.demo(out, chosen, registry, frames, report, overwrite)
@@ -67,3 +87,18 @@ def _print_correction(found: EstimatorEvaluation) -> None:
         for name, score in (("reported", found.before), ("corrected", found.after))
     ]
     console.print_table(("error", "RMS", "95 % below"), rows)
+
+
+def _set_up(out: Path, board: str, page: tuple[int, bool], registry: api.Registry) -> None:
+    """Serve rendered cameras, and the set-up page on a new folder."""
+    check_studio()
+    from measure.studio import serve
+
+    port, browser = page
+    with ExitStack() as stack:
+        with console.progress("rendering, the first time only", "pictures") as report:
+            desk, addresses = stack.enter_context(api.demo_cameras(out, board, report))
+        console.note(f"{desk}: choose the board {board} in step Calibration; Ctrl-C ends it")
+        cameras = tuple(f"{name}={address}" for name, address in addresses.items())
+        at = ("127.0.0.1", port)
+        serve(desk, registry, cameras, at=at, tell=lambda address: show_page(address, browser))

@@ -37,13 +37,23 @@ def studio(
         browser: open the page in a browser.
         host: address to listen on.
     """
-    if find_spec("nicegui") is None:
-        raise ConfigError("the page needs NiceGUI: pip install 'triball[studio]'")
+    check_studio()
     from measure.studio import serve
 
     def tell(address: str) -> None:
-        console.print_text(address)
-        if browser:
-            webbrowser.open(address)
+        show_page(address, browser)
 
     serve(folder, registry, cameras, capture.request(), (host, port), capture.seconds, tell)
+
+
+def check_studio() -> None:
+    """Refuse (ConfigError) to go on without what the page needs."""
+    if find_spec("nicegui") is None:
+        raise ConfigError("the page needs NiceGUI: pip install 'triball[studio]'")
+
+
+def show_page(address: str, browser: bool) -> None:
+    """Print the page's address, and open it in a browser if asked for."""
+    console.print_text(address)
+    if browser:
+        webbrowser.open(address)
