@@ -127,8 +127,10 @@ def _draw(
     local = camera_from_face.inverse().apply(rays * depth[:, None])[:, :2]
     side = texture.shape[0]
     place = (local * [1.0, -1.0] + half) / FACE_MM * side - 0.5
-    maps = [place[:, k].reshape(size[1], size[0]).astype(np.float32) for k in (0, 1)]
-    bright = cv2.remap(texture, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    across, down = (
+        place[:, k].reshape(size[1], size[0]).astype(np.float32, copy=False) for k in (0, 1)
+    )
+    bright = cv2.remap(texture, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     inside = (np.abs(local) < half).all(axis=1).reshape(size[1], size[0])
     shown = light * (_INK + (_PAPER - _INK) * np.asarray(bright, np.float64) / 255)
     covered, value = (_mean(array) for array in (inside.astype(float), np.where(inside, shown, 0)))
@@ -184,7 +186,7 @@ def measured(
                 rng,
             )
             corners, tags, _ = detector.detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
-            found = [] if tags is None else np.asarray(tags).reshape(-1).tolist()
+            found = [] if tags is None else [int(tag) for tag in np.asarray(tags).reshape(-1)]
             seen += [
                 (camera, faces[tag].corners(), np.asarray(four, np.float64).reshape(4, 2))
                 for tag, four in zip(found, corners, strict=True)

@@ -184,7 +184,7 @@ def _settings(bench: Bench, making: _Making) -> ui.select:
     return body
 
 
-def _learnt(bench: Bench, making: _Making, body: ui.select) -> ui.refreshable:
+def _learnt(bench: Bench, making: _Making, body: ui.select) -> ui.refreshable[..., None]:
     """The colours that were learnt, each with its name and a button that takes it away."""
 
     @ui.refreshable
@@ -218,7 +218,7 @@ def _judgement(making: _Making) -> str:
 
 
 def _camera(
-    bench: Bench, making: _Making, body: ui.select, name: str, learnt: ui.refreshable
+    bench: Bench, making: _Making, body: ui.select, name: str, learnt: ui.refreshable[..., None]
 ) -> None:
     async def click(at: events.GenericEventArguments) -> None:
         u, v = at.args
