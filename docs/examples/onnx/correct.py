@@ -1,0 +1,26 @@
+"""Corrects a robot's states with a model of `measure train`: onnxruntime and numpy alone."""
+
+import json
+
+import numpy as np
+import onnxruntime
+
+
+class Corrector:
+    """One trajectory; make another after a pause."""
+
+    def __init__(self, model):
+        self.session = onnxruntime.InferenceSession(model)
+        facts = json.loads(self.session.get_modelmeta().custom_metadata_map["measure"])
+        self.memory = np.zeros((1, self.session.get_inputs()[1].shape[1]), np.float32)
+        self.period_s, self.ticked_s = facts["period_s"], -np.inf
+
+    def correct(self, state, time_s):
+        """Error in mm to add to the reported tip, its covariance, and the strangeness."""
+        tick = time_s - self.ticked_s >= 0.75 * self.period_s
+        self.ticked_s = time_s if tick else self.ticked_s
+        rows = {"features": np.float32([state]), "tick": np.float32([[tick]])}
+        error_mm, covariance, strangeness, self.memory = self.session.run(
+            None, {**rows, "memory": self.memory}
+        )
+        return error_mm[0], covariance.reshape(3, 3), strangeness[0, 0]
