@@ -21,8 +21,8 @@ from measure.calibration import (
     rough_cameras,
 )
 from measure.calibration.refining.recording import recording_of
-from measure.checking.unknown_body import PALETTES, SeenBall, find_layout, locate, probe
-from measure.errors import ConfigError
+from measure.checking.unknown_body import PALETTES, SeenBall, find_layout, locate, probe, wrong_size
+from measure.errors import CalibrationError, ConfigError
 from measure.geometry import RigidTransform, align_points
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
@@ -208,7 +208,11 @@ def find_body(
                 f"--origin {origin}: there is no such ball, but {', '.join(rough.names)}"
             )
         rough = replace(rough, name="body" if pattern is None else pattern.name)
-        return _adjusted(opened, rough, pattern, origin, chosen, registry, progress)
+        try:
+            return _adjusted(opened, rough, pattern, origin, chosen, registry, progress)
+        except CalibrationError as problem:
+            told = wrong_size(frames, rough)
+            raise CalibrationError(f"{told} ({problem})" if told else str(problem)) from None
 
 
 def _of_size(body: Body, radius_mm: float) -> Body:

@@ -33,7 +33,7 @@ _LEAST_SHARE = 0.3  # Of the frame sets, in which a ball must be located
 _ALIKE = 0.2  # Relative difference of outlines up to which they are of balls of one size
 _RIGID_RADII = 0.1  # Scatter of a distance, in radii, up to which it counts as constant
 _LEAST_SIZE_SD, _SIZE_SIGMAS = 0.015, 4.0
-"""Relative standard deviation of a ball's size by its outlines at best; how far off is wrong."""
+"""Relative standard deviation of all sizes by their outlines at best; how far off is wrong."""
 _TWINS = 0.5
 """Share of a ball's frame sets with a second one of its colour from which there are two."""
 
@@ -177,14 +177,28 @@ def _rigid(
 def _check_size(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], body: Body) -> None:
     """Refuse a size that the outlines contradict, at distances by the calibration's scale."""
     seen = [f[name] for f in frames for name in names if name in f]
-    stated = float(body.radii[0])
-    ratio, sd = np.median([(b.radius_mm, b.radius_sd_mm) for b in seen], axis=0) / stated
-    if abs(ratio - 1) > _SIZE_SIGMAS * np.hypot(sd, _LEAST_SIZE_SD):
-        raise SessionError(
-            f"--radius-mm {stated:g}: by the calibration's scale the balls have a radius of "
-            f"{ratio * stated:.2f} mm: measure one (the radius is half of what callipers show), or "
-            "set the calibration's scale right"
-        )
+    sd = np.median([ball.radius_sd_mm for ball in seen]) / body.radii[0] / np.sqrt(len(seen))
+    if told := wrong_size(frames, body, _SIZE_SIGMAS * float(np.hypot(sd, _LEAST_SIZE_SD))):
+        raise SessionError(f"--radius-mm {body.radii[0]:g}: {told}")
+
+
+def wrong_size(
+    frames: Sequence[Mapping[str, SeenBall]], body: Body, least: float = _LEAST_SIZE_SD
+) -> str:
+    """What balls that look larger or smaller than stated, by that share at least, may come from.
+
+    Empty if they do not.
+    """
+    seen = [f[name].radius_mm for f in frames for name in body.names if name in f]
+    stated, radius_mm = float(body.radii[0]), float(np.median(seen))
+    if abs(radius_mm / stated - 1) <= least:
+        return ""
+    return (
+        f"by the calibration's scale the balls have a radius of {radius_mm:.2f} mm, not "
+        f"{stated:g}. Was the printed board's square measured? Squares {stated / radius_mm:.3f} "
+        "times as long as their file says would explain it; so would another radius (half of what "
+        "callipers show)"
+    )
 
 
 def _laid_out(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], body: Body) -> Body:

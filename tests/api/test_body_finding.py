@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
-from measure.checking.unknown_body import find_layout, locate, probe
+from measure.checking.unknown_body import find_layout, locate, probe, wrong_size
 from measure.cli.app import main
 from measure.errors import SessionError
 from measure.estimation.body_layout import looks_mirrored
@@ -45,11 +45,18 @@ def test_the_layout_follows_from_what_stays_as_far_apart(body):
     assert not looks_mirrored(truth, found.centers)
 
 
-@pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
+@pytest.mark.parametrize("factor", [0.5, 0.8, 25 / 27, 1.25, 2.0])
 def test_a_wrong_radius_is_refused_with_the_one_that_is_seen(factor):
     frames, searched = seen_frames(RAVEN, RAVEN.radii[0], scale=factor)
-    with pytest.raises(SessionError, match=r"radius of (19\.\d\d|20\.\d\d) mm"):
+    with pytest.raises(SessionError, match=r"radius of (19\.\d\d|20\.\d\d) mm.*square measured"):
         find_layout(frames, searched, pick=True)
+
+
+def test_a_size_too_near_to_refuse_explains_what_fails_later():
+    frames, searched = seen_frames(RAVEN, RAVEN.radii[0], scale=1.04)
+    assert set(find_layout(frames, searched, pick=True).names) == set(RAVEN.names)
+    assert "Squares 1.0" in wrong_size(frames, searched)
+    assert not wrong_size(*seen_frames(RAVEN, RAVEN.radii[0]))
 
 
 def test_balls_that_do_not_move_together_are_no_body():
