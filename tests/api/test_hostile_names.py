@@ -233,16 +233,18 @@ WRITES: dict[str, Callable[[Place], Any]] = {
 }
 """What is written of a stranger's cameras, bodies and balls; some give it to who writes it."""
 NAMELESS = {
-    "ablate", "correct_simulated_robot", "demo", "estimate_file", "estimate_online", "new_folder",
-    "output", "render_demo", "rezero", "simulate_dataset", "simulate_recording", "sweep", "train",
+    "ablate", "correct_simulated_robot", "demo", "demo_cameras", "estimate_file",
+    "estimate_online", "new_folder", "output", "render_demo", "rezero", "simulate_dataset",
+    "simulate_recording", "sweep", "train", "write_measured_board",
 }  # fmt: skip
 """What writes, but reads no camera, body or ball of a file."""
 READS = {
-    "body_names", "build_pipeline", "calibrate", "camera_names", "cameras", "check", "choose",
-    "compare", "contents_of", "detect", "drawings", "evaluate", "evaluation_tables", "events",
-    "inside", "load_profile", "measure_bodies", "measure_session", "model_file", "next_free",
-    "parse_cameras", "parse_click", "parse_controls", "parse_expectation", "parse_images",
-    "parse_settings", "parse_size", "play", "profile_names", "read_body", "read_calibration",
+    "board_length", "body_names", "build_pipeline", "calibrate", "camera_line", "camera_names",
+    "cameras", "check", "choose", "compare", "contents_of", "described", "detect", "drawings",
+    "evaluate", "evaluation_tables", "events", "inside", "learnt_colors", "load_profile",
+    "measure_bodies", "measure_session", "model_file", "next_free", "parse_cameras",
+    "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
+    "parse_size", "play", "play_cameras", "profile_names", "read_body", "read_calibration",
     "register", "rests", "sampled_color", "shipped_model", "shipped_targets", "usb_notes",
     "web_viewer",
 }  # fmt: skip

@@ -128,7 +128,7 @@ def test_the_papers_body_is_drawn_and_true(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["raven_three_ball.toml", "raven_markers_16.toml", "long.toml"])
 def test_no_text_leaves_the_page(tmp_path: Path, name: str) -> None:
     text = (TARGETS / "raven_three_ball.toml").read_text()
-    (tmp_path / "long.toml").write_text(text.replace('name = "raven', f'name = "{60 * "long "}', 1))
+    (tmp_path / "long.toml").write_text(text.replace('name = "raven', f'name = "{34 * "long "}', 1))
     file = tmp_path / name if name == "long.toml" else TARGETS / name
     sheet, path = draw_target(file, tmp_path / "target.pdf")
     with pypdfium2.PdfDocument(path) as document:
