@@ -122,6 +122,8 @@ def _fingerprint(image: Image) -> Hashable:
     if image.encoded is not None:
         return hash(image.encoded)
     pixels = np.asarray(image.pixels)
+    if pixels.ndim != 3:
+        return object()  # without pixels, equal to no other
     return pixels.shape, hash(pixels[_ROW_STEP // 2 :: _ROW_STEP].tobytes())
 
 
