@@ -16,7 +16,7 @@ import numpy as np
 from measure.api.calibrating import shipped_targets
 from measure.api.folders import next_free
 from measure.api.playing_cameras import Reel, Screening
-from measure.arrays import Bytes, Floats
+from measure.arrays import Bytes
 from measure.calibration import read_board
 from measure.calibration.printing import Sheet as PrintedSheet
 from measure.calibration.printing import target_sheet
@@ -166,11 +166,11 @@ def _write_board(folder: Path, board: str, poses: Sequence[RigidTransform], step
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(shoot, range(len(scene.cameras))))
-    _write_texts(folder, [camera.name for camera in scene.cameras], np.arange(2 * len(poses)))
+    _write_texts(folder, [camera.name for camera in scene.cameras], 2 * len(poses))
 
 
-def _write_texts(folder: Path, names: Sequence[str], frames: Floats) -> None:
-    rows = "".join(f"{frame},{frame / _RATE_HZ}\n" for frame in frames.tolist())
+def _write_texts(folder: Path, names: Sequence[str], frames: int) -> None:
+    rows = "".join(f"{frame},{frame / _RATE_HZ}\n" for frame in range(frames))
     for name in names:
         (folder / f"{name}.csv").write_text("frame,time_s\n" + rows, "utf-8")
     tables = [{"name": n, "images": f"{n}/*.jpg", "timestamps": f"{n}.csv"} for n in names]

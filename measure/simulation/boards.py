@@ -93,7 +93,8 @@ class SheetPainter:
                 level, inside = self._met(print_from_ideal, rays)
                 light += level * inside
                 covered += inside
-        return light / _FINER**2, covered / _FINER**2
+        rays_a_pixel = np.float32(_FINER**2)
+        return light / rays_a_pixel, covered / rays_a_pixel
 
     def _homography(self, pose: RigidTransform) -> Floats:
         """From rays (x, y, 1) to pixels of the print (3, 3); the last one is positive in front."""
@@ -107,7 +108,7 @@ class SheetPainter:
         """The radiance (h, w) that rays (h, w, 2) meet, and whether they meet the sheet."""
         height, width = self._sheet.print.shape
         x, y, w = cv2.split(cv2.transform(rays, print_from_ideal.astype(np.float32)))
-        u, v = x / w, y / w
+        u, v = (np.asarray(place / w, np.float32) for place in (x, y))
         inside = (w > 0) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
         if np.linalg.det(print_from_ideal) < 0:
             return np.full_like(u, _BACK), inside.astype(np.float32)
