@@ -63,7 +63,7 @@ def test_cameras_go_on_from_one_act_to_the_next(tmp_path, monkeypatch):
                 level = (20 + 80 * len(boards), 90, 30 + k)
                 data = cv2.imencode(".jpg", np.full((48, 64, 3), level, np.uint8))[1].tobytes()
                 (boards[act] / name / f"{k:06d}.jpg").write_bytes(data)
-        demo._write_texts(boards[act], names, np.arange(2))
+        demo._write_texts(boards[act], names, 2)
     monkeypatch.setattr(demo, "_rendered", lambda *_: boards)
     with api.demo_cameras(tmp_path) as (desk, cameras):
         shots = HttpSource(cameras["cam1"]).shots()

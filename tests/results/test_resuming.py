@@ -145,7 +145,8 @@ def test_an_end_that_a_power_cut_left_is_gone_on_without(
     path.write_bytes(data[:-lost] + (rest * lost)[:lost])
     kept = frames_of(folder)
     assert kept == list(range(len(kept)))
-    assert len(kept) < 6
+    # The last hundred bytes may be zeros as they should be: then nothing was lost.
+    assert len(kept) < 6 or path.read_bytes() == data
     cut, whole = read_run(folder), read_run(before)
     for name in SCHEMAS:
         rows = getattr(whole, name)
