@@ -213,6 +213,12 @@ def other_values(values: Any, draw: random.Random) -> Any:
         return values
 
 
+def other_json(path: Path, draw: random.Random) -> str:
+    """A JSON file one of whose values is of another type, gone, or nested too deep."""
+    path.write_text(json.dumps(other_values(json.loads(path.read_text()), draw)))
+    return "another value"
+
+
 def resealed(path: Path, draw: random.Random) -> str:
     """An ONNX file whose metadata say something else, and whose checksum is right all the same."""
     import onnx

@@ -22,6 +22,8 @@ from measure.host import Estimator, Registry
 from measure.host.estimator import quiet
 from measure.learning import files, split_by_trajectory
 from measure.robots import RobotLog, raven_schema, write_log
+from measure.robots.bags import DEFINITION, MESSAGE
+from measure.robots.raven import FIELDS
 from measure.robots.simulator import simulate
 from measure.session import read_calibration, write_calibration
 from measure.simulation import write_session
@@ -65,26 +67,41 @@ class Subject:
     run: bool = False
 
 
+PROFILES = ("paper", "precise")
 _RUN = "run {}/SESSION -o {}/new --profile paper --no-recording"
 _LOG = "dataset {}/poses.csv --robot-log {}/robot/FILE -o {}/new.parquet --clock-offset-s 0"
+_REGISTER = "register {}/tips.csv --robot-log {}/robot/FILE -o {}/new.toml --clock-offset-s 0"
+_TRAIN = "train {}/set/set.parquet -o {}/new.onnx --estimator ridge"
+_PAIRED = "dataset {}/set/labels.parquet -o {}/new.parquet"
 _ESTIMATE = "estimate {}/model.onnx --input {}/robot/FILE --out {}/new.csv"
 
 
-def _measured(name: str, file: str, *more: Mutation, session: str = "still") -> Subject:
+def _measured(name: str, file: str, *more: Mutation, session: str = "still") -> tuple[Subject, ...]:
+    """Of each profile one: the draw of the subject is that of the profile."""
     kinds = (*TEXT, *more) if file.endswith((".toml", ".csv", ".yml")) else (*BINARY, *more)
-    return Subject(name, f"{session}/{file}", _RUN.replace("SESSION", session), kinds, run=True)
+    words = _RUN.replace("SESSION", session)
+    return tuple(
+        Subject(
+            f"{name}, {profile}", f"{session}/{file}", words.replace("paper", profile), kinds, True
+        )
+        for profile in PROFILES
+    )
 
 
 SUBJECTS = (
-    _measured("session.toml", "session.toml"),
-    _measured("body.toml", "body.toml"),
-    _measured("calibration.toml", "calibration.toml"),
-    _measured("stamps", "cam1.csv"),
-    _measured("picture", "cam1/000003.jpg", mutating.changed_picture),
-    _measured("first picture", "cam2/000000.jpg", mutating.changed_picture),
-    *(_measured(f"calibration, {f}", f"{f}{end}", session=f) for f, end in _FORMATS.items()),
-    _measured("video", "cam0.mp4", session="video"),
-    _measured("video, motion JPEG", "cam1.avi", session="video"),
+    *_measured("session.toml", "session.toml"),
+    *_measured("body.toml", "body.toml"),
+    *_measured("calibration.toml", "calibration.toml"),
+    *_measured("stamps", "cam1.csv"),
+    *_measured("picture", "cam1/000003.jpg", mutating.changed_picture),
+    *_measured("first picture", "cam2/000000.jpg", mutating.changed_picture),
+    *(
+        subject
+        for f, end in _FORMATS.items()
+        for subject in _measured(f"calibration, {f}", f"{f}{end}", session=f)
+    ),
+    *_measured("video", "cam0.mp4", session="video"),
+    *_measured("video, motion JPEG", "cam1.avi", session="video"),
     Subject(
         "profile",
         "profile.toml",
@@ -138,6 +155,24 @@ SUBJECTS = (
         "set.parquet",
         "train {}/set.parquet -o {}/new.onnx --estimator offset",
         (*BINARY, *[mutating.table] * 5),
+    ),
+    *(
+        Subject(f"data-set folder: {name}", f"set/{name}", words, kinds)
+        for name, words, kinds in (
+            ("set.parquet", _TRAIN, (*BINARY, *[mutating.table] * 5)),
+            ("set.card.json", _TRAIN, (*TEXT, mutating.other_json)),
+            ("labels.parquet", _PAIRED, (*BINARY, *[mutating.table] * 5)),
+        )
+    ),
+    *(
+        Subject(f"ROS 2 bag: {file}", f"robot/{bag}/{file}", words.replace("FILE", bag), kinds)
+        for bag, file, kinds in (
+            ("sqlite", "metadata.yaml", TEXT),
+            ("sqlite", "sqlite.db3", BINARY),
+            ("mcap", "metadata.yaml", TEXT),
+            ("mcap", "mcap.mcap", BINARY),
+        )
+        for words in (_LOG, _REGISTER)
     ),
     Subject(
         "checkpoint",
@@ -244,7 +279,7 @@ def _reopen(run: Path) -> None:
 def _write_robot(folder: Path) -> None:
     robot, schema = folder / "robot", raven_schema()
     robot.mkdir()
-    run = simulate(12.0, 1, log_hz=20.0)
+    run = simulate(24.0, 1, log_hz=20.0)
     log = RobotLog(schema, run.times_s, run.states)
     for name in ("log.csv", "log.parquet", "own.csv"):
         write_log(robot / name, log)
@@ -256,10 +291,57 @@ def _write_robot(folder: Path) -> None:
     x, y, z = schema.position_mm(run.states)[::2].T
     poses = {"time_s": run.times_s[::2], "x_mm": x + 1.0, "y_mm": y, "z_mm": z}
     csv.write_csv(pa.table(poses), folder / "poses.csv")
+    chain = schema.chain
+    assert chain is not None
+    tips = chain.pose(schema.joint_positions(log.states[::8]))
+    columns = np.column_stack([log.times_s[::8], tips.translation, tips.quat_wxyz])
+    names = ["time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"]
+    csv.write_csv(pa.table(dict(zip(names, columns.T, strict=True))), folder / "tips.csv")
     (folder / "robot.toml").write_text(_ROBOT)
+    for name in ("sqlite", "mcap"):
+        _write_ros2(robot / name, log)
     shutil.copy(shipped_model(), folder / "model.onnx")
     words = _LOG.replace("FILE", "log.parquet").replace("new", "set") + " --cut-s 2"
     done(words, folder)
+    (folder / "set").mkdir()
+    errors = 1.0 + 0.1 * np.random.default_rng(1).standard_normal((3, len(log.times_s)))
+    runs = [f"run{k * 5 // len(log.times_s)}" for k in range(len(log.times_s))]
+    states = dict(zip(schema.names, log.states.T.astype(np.float32), strict=True))
+    labels = {"run": runs, "t_s": log.times_s, **dict(zip(("ex", "ey", "ez"), errors, strict=True))}
+    parquet.write_table(pa.table({**labels, **states}), folder / "set/labels.parquet")
+    for ending in (".parquet", ".card.json"):
+        shutil.copy(folder / f"set{ending}", folder / "set" / f"set{ending}")
+
+
+def _write_ros2(path: Path, log: RobotLog) -> None:
+    """The folder of a ROS 2 bag of RAVEN-II's states, both arms of which do the same."""
+    from rosbags import rosbag2, typesys
+
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    store.register(typesys.get_types_from_msg(DEFINITION, MESSAGE))
+    plugin = rosbag2.StoragePlugin
+    kept = plugin.MCAP if path.name == "mcap" else plugin.SQLITE3
+    types = store.types
+    ends = np.cumsum([field.per_arm for field in FIELDS])
+    with rosbag2.Writer(path, version=9, storage_plugin=kept) as writer:
+        connection = writer.add_connection("/ravenstate", MESSAGE, typestore=store)
+        for time_s, state in zip(log.times_s, log.states, strict=True):
+            stamp_ns = round(1e9 * time_s)
+            seconds, rest = divmod(stamp_ns, 10**9)
+            stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
+            values = {
+                field.name: np.tile(part, 2).astype(np.int32 if field.integer else np.float32)
+                for field, part in zip(FIELDS, np.split(state, ends[:-1]), strict=True)
+            }
+            message = types[MESSAGE](
+                hdr=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
+                runlevel=3,
+                sublevel=0,
+                last_seq=0,
+                dt=types["builtin_interfaces/msg/Duration"](sec=0, nanosec=1_000_000),
+                **values,
+            )
+            writer.write(connection, stamp_ns, store.serialize_cdr(message, MESSAGE))
 
 
 def _write_checkpoint(folder: Path) -> None:

@@ -21,6 +21,11 @@ QUICK = tuple(
     and "video" not in subject.name
 )
 """Kinds whose commands take no second."""
+OF_ROBOTS = tuple(
+    subject
+    for subject in SUBJECTS
+    if subject.name.startswith(("data-set folder", "ROS 2 bag")) and "register" not in subject.words
+)
 
 
 def test_changed_files_are_read_or_refused(tmp_path: Path) -> None:
@@ -29,6 +34,15 @@ def test_changed_files_are_read_or_refused(tmp_path: Path) -> None:
     assert not [one for one in outcomes if one.fault]
     assert 4 < sum(one.refused for one in outcomes) < 15
     assert len({one.subject for one in outcomes}) > 10
+
+
+@pytest.mark.slow
+def test_changed_data_sets_and_bags_are_read_or_refused(tmp_path: Path) -> None:
+    mutations, draw = Mutations(tmp_path / "all", OF_ROBOTS, small), random.Random(51)
+    outcomes = [mutations.try_one(k, draw) for k in range(12)]
+    assert not [one for one in outcomes if one.fault]
+    assert 2 < sum(one.refused for one in outcomes) < 12
+    assert {one.subject.split(":")[0] for one in outcomes} == {"data-set folder", "ROS 2 bag"}
 
 
 @pytest.mark.parametrize(
