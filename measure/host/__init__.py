@@ -11,6 +11,7 @@ from measure.host.interfaces import (
     Triangulator,
 )
 from measure.host.judging import Scaling
+from measure.host.names import plain_name, plain_names
 from measure.host.onnx_estimator import Core, OnnxEstimator
 from measure.host.onnx_graph import Graph, Value, seal
 from measure.host.onnx_model import Estimates, OnnxModel
@@ -25,5 +26,5 @@ __all__ = [
     "OnnxModel", "Plugin", "PoseSolver", "Registry", "Report", "Scaling",
     "SelfCalibratingDetector", "SentPose", "SentRun", "Setting", "Settings", "Sink",
     "Triangulator", "Value", "describe_settings", "discover", "hookimpl", "host_port",
-    "needed", "seal", "setting",
+    "needed", "plain_name", "plain_names", "seal", "setting",
 ]  # fmt: skip

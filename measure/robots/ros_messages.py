@@ -68,12 +68,6 @@ def letters(names: str, values: Floats) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def topic_name(name: str) -> str:
-    """A name as ROS allows it in a topic."""
-    word = "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
-    return word if word[:1].isalpha() else f"ball_{word}"
-
-
 def nanoseconds(time_s: float) -> int:
     """A time as ROS counts it; RunError: it knows no such time."""
     if not 0 <= time_s < _END_S:

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from measure import api
 from measure.errors import ConfigError, RunError
+from measure.host import plain_names
 from measure.results import Run, RunWriter, read_run
 from measure.results.exports import FORMATS, export_run
-from measure.results.exports.mcap import _topics
 from tests.results.conftest import BODY, CAMERAS, made_from, measurement, true_pose
 
 LOST = (3, 4)
@@ -208,9 +208,9 @@ def test_times_that_ros_does_not_know_are_refused(run, tmp_path) -> None:
 
 
 def test_balls_have_topics_of_their_own() -> None:
-    topics = _topics(["ball 1", "ball-1", "红", "绿", "red"], "/balls")
+    topics = plain_names(["ball 1", "ball-1", "红", "绿", "red"], "ball")
     assert len(set(topics.values())) == 5
-    assert topics["red"] == "/balls/red"
+    assert (topics["red"], topics["红"]) == ("red", "ball")
 
 
 def test_a_run_without_a_pose_is_refused(folder: Path, tmp_path: Path) -> None:

@@ -9,18 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from measure.host import plain_names
 from measure.results.pose_table import Velocities
 from measure.results.run import Run
 from measure.results.tables import numbers, texts
-from measure.robots.ros_messages import (
-    METRES,
-    POSE,
-    RosMessages,
-    header,
-    letters,
-    nanoseconds,
-    topic_name,
-)
+from measure.robots.ros_messages import METRES, POSE, RosMessages, header, letters, nanoseconds
 
 WORLD, BODY = "world", "body"
 BALL_TOPIC, TF_TOPIC = "/balls", "/tf"
@@ -39,8 +32,9 @@ def write(runs: Sequence[Run], path: Path, velocities: Sequence[Velocities] = ()
         bag = Path(scratch) / "bag"
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             out = _Topics(writer)
+            words = plain_names(run.body.name for run in runs)
             for k, run in enumerate(runs):
-                body = topic_name(run.body.name) if len(runs) > 1 else BODY
+                body = words[run.body.name] if len(runs) > 1 else BODY
                 _write_poses(run, out, body)
                 _write_balls(run, out, f"/{body}{BALL_TOPIC}" if len(runs) > 1 else BALL_TOPIC)
                 if velocities:
@@ -90,16 +84,7 @@ def _write_balls(run: Run, out: _Topics, above: str) -> None:
     table = run.balls
     centers = numbers(table, "x_mm", "y_mm", "z_mm") / 1000
     times, names = numbers(table, "time_s"), texts(table, "ball")
-    topics = _topics(run.body.names, above)
+    words = plain_names(run.body.names, "ball")
     for time_s, name, center in zip(times.tolist(), names.tolist(), centers, strict=True):
         point = {"header": header(time_s, WORLD), "point": letters("xyz", center)}
-        out.send(topics[name], _POINT, time_s, point)
-
-
-def _topics(balls: Sequence[str], above: str) -> dict[str, str]:
-    """A topic for each ball; with the ball's number where ROS allows too little of its name."""
-    words = [topic_name(name) for name in balls]
-    return {
-        name: f"{above}/{word}" + (f"_{number}" if words.count(word) > 1 else "")
-        for number, (name, word) in enumerate(zip(balls, words, strict=True))
-    }
+        out.send(f"{above}/{words[name]}", _POINT, time_s, point)

@@ -12,7 +12,17 @@ from typing import Any
 
 import cv2
 
-from measure.host import EventMark, SentPose, Settings, Sink, hookimpl, host_port, needed, setting
+from measure.host import (
+    EventMark,
+    SentPose,
+    Settings,
+    Sink,
+    hookimpl,
+    host_port,
+    needed,
+    plain_names,
+    setting,
+)
 from measure.model import Image
 
 _TCP = socket.AF_INET, socket.SOCK_STREAM
@@ -42,6 +52,9 @@ class FoxgloveSink(Sink):
         """Read the address and load the libraries."""
         self._place = dict(zip(("host", "port"), host_port(self.address), strict=True))
         self._foxglove = needed("foxglove", "foxglove")
+        # Its lines would stand between ours; only the first call has an effect.
+        self._foxglove.set_log_level("ERROR")
+        self._words = plain_names(body.name for body in self.run.bodies)
         self._messages = needed("foxglove.messages", "foxglove")
         self._channels = needed("foxglove.channels", "foxglove")
         self._server: Any = None
@@ -55,7 +68,7 @@ class FoxgloveSink(Sink):
         known = {"message_backlog_size": self.config.backlog, "context": context}
         self._server = self._start(self._place | known)
         self._send_at_once()
-        made = [make(_topic(*stream), context=context) for stream in self.run.streams]
+        made = [make(self._topic(*stream), context=context) for stream in self.run.streams]
         made += [kinds.FrameTransformChannel("/tf", context=context)]
         made += [kinds.LogChannel("/marks", context=context)]
         for camera in self.run.cameras:
@@ -83,7 +96,7 @@ class FoxgloveSink(Sink):
 
     def send(self, pose: SentPose) -> None:
         """The columns of the pose, and its transform if there is one."""
-        topic = _topic(pose.body, pose.reference)
+        topic = self._topic(pose.body, pose.reference)
         self._log(topic, pose.exposed_s, pose.plain())
         if pose.pose is None:
             return
@@ -93,7 +106,7 @@ class FoxgloveSink(Sink):
             timestamp=self._stamp(pose.exposed_s),
             parent_frame_id=pose.reference or "world",
             # A frame has one parent: the body's own is the world.
-            child_frame_id=topic.strip("/").replace("/", " in "),
+            child_frame_id=" in ".join(filter(None, (pose.body, pose.reference))),
             translation=self._messages.Vector3(x=x, y=y, z=z),
             rotation=self._messages.Quaternion(x=qx, y=qy, z=qz, w=qw),
         )
@@ -131,9 +144,9 @@ class FoxgloveSink(Sink):
     def _stamp(self, time_s: float) -> Any:
         return self._messages.Timestamp(*divmod(round(time_s * 1e9), 10**9))
 
-
-def _topic(body: str, reference: str) -> str:
-    return "/" + "/".join(filter(None, (body, reference)))
+    def _topic(self, body: str, reference: str) -> str:
+        """The topic of a kind of pose; bodies have plain names in it."""
+        return "/" + "/".join(self._words.get(one, one) for one in (body, reference) if one)
 
 
 @hookimpl

@@ -7,7 +7,17 @@ import socket
 from typing import Any, Literal
 
 from measure.errors import ConfigError
-from measure.host import EventMark, SentPose, Settings, Sink, hookimpl, host_port, needed, setting
+from measure.host import (
+    EventMark,
+    SentPose,
+    Settings,
+    Sink,
+    hookimpl,
+    host_port,
+    needed,
+    plain_names,
+    setting,
+)
 
 
 class UdpSettings(Settings):
@@ -32,6 +42,7 @@ class UdpSink(Sink):
         self._family, self._place = _place(*host_port(self.address))
         self._socket: socket.socket | None = None
         self._osc: Any = None
+        self._words = plain_names(body.name for body in self.run.bodies)
         if self.config.format == "osc":
             self._osc = needed("pythonosc.osc_message_builder", "osc")
 
@@ -70,7 +81,8 @@ class UdpSink(Sink):
 
     def _send_osc(self, pose: SentPose) -> None:
         """The pose in single precision, as every program of OSC reads it."""
-        path = "/".join(filter(None, ("/triball", pose.body, pose.reference))).replace(" ", "_")
+        words = [self._words.get(one, one) for one in (pose.body, pose.reference) if one]
+        path = "/".join(("/triball", *words))
         start = pose.frame, ("d", pose.time_s)
         if pose.pose is None:
             self._send(self._message(f"{path}/lost", *start, pose.status, pose.reason))

@@ -5,8 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 from measure.errors import ConfigError
-from measure.host import SentPose, Settings, Sink, hookimpl, needed, setting
-from measure.robots.ros_messages import POSE, RosMessages, topic_name
+from measure.host import (
+    SentPose,
+    Settings,
+    Sink,
+    hookimpl,
+    needed,
+    plain_name,
+    plain_names,
+    setting,
+)
+from measure.robots.ros_messages import POSE, RosMessages
 
 _DROP = "transport/link/tx/queue/congestion_control/drop"  # In the configuration of Zenoh
 
@@ -38,6 +47,7 @@ class ZenohSink(Sink):
         if not self._key or set("*$?#") & set(self._key):
             raise ConfigError("expected a key such as triball")
         self._messages = RosMessages()
+        self._words = plain_names(body.name for body in self.run.bodies)
         self._session: Any = None
         self._publishers: dict[str, Any] = {}
 
@@ -56,7 +66,9 @@ class ZenohSink(Sink):
         """The pose and its transform, if there is one."""
         if pose.pose is None:
             return
-        body, reference = topic_name(pose.body), topic_name(pose.reference or self.config.world)
+        body = self._words.get(pose.body) or plain_name(pose.body)
+        world = plain_name(self.config.world, "world")
+        reference = self._words.get(pose.reference, world)
         # A frame has one parent: the body's own is the world.
         child = f"{body}_in_{reference}" if pose.reference else body
         place, covariance = pose.pose.world_from_body, pose.pose.covariance

@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 from benchmarks.sinks import HOST, address, body, camera, free_port, measurement
 from measure.api.sending import SendOptions, open_sending, sent_pose
 from measure.cli import main
-from measure.host import EventMark, Registry, SentRun, Sink
+from measure.host import EventMark, Registry, SentRun, Sink, plain_names
 from measure.model import Image
 from tests.receiving import wait_for
 
@@ -94,6 +94,23 @@ def test_igtl_shortens_every_name_by_one_rule_and_tells_it():
     ]
     assert {"RavenThreeBToTracker", "RavenThree2ToTracker", "SsToTracker"} <= set(names)
     assert {"Tool1ToTracker", "Tool12ToTracker"} <= set(names)
+
+
+def test_one_rule_names_bodies_wherever_names_are_restricted():
+    words = plain_names([*HOSTILE, "pointer tool"])
+    assert len(set(words.values())) == len(words)
+    assert all(re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,63}", word) for word in words.values())
+    told = [words[name] for name in ("Wörkpiece №1", "a/b #*?$ tool", "三つの球", "四つの球", "..")]
+    assert told == ["Workpiece_No1", "a_b_tool", "body", "body_2", "body_3"]
+    assert (words["tool-1"], words["tool_1"], words["ß"]) == ("tool_1", "tool_1_2", "ss")
+    assert words["pointer tool"] == "pointer_tool"
+
+
+def test_foxglove_topics_hold_no_blanks_and_differ():
+    sink = build("foxglove://127.0.0.1:8765", run_of(*HOSTILE, reference="tool-1"))
+    topics = [sink._topic(*stream) for stream in sink.run.streams]
+    assert len(set(topics)) == len(topics)
+    assert all(re.fullmatch("(/[A-Za-z][A-Za-z0-9_]*){1,2}", topic) for topic in topics)
 
 
 def test_igtl_tells_the_name_where_poses_are_sent():
