@@ -142,8 +142,13 @@ def _plain(value: Any) -> Any:
     return _plain(value.tolist()) if hasattr(value, "tolist") else value
 
 
-def host_port(address: str) -> tuple[str, int]:
-    """Read HOST:PORT; ConfigError for anything else."""
+def host_port(address: str, usual: int = 0) -> tuple[str, int]:
+    """Read HOST:PORT; ConfigError for anything else.
+
+    With a `usual` port, HOST alone has that, and nothing at all is 127.0.0.1.
+    """
+    if usual and (not address or address.endswith("]") or ":" not in address):
+        address = f"{address or '127.0.0.1'}:{usual}"
     host, _, port = address.rpartition(":")
     if not (host and port.isdecimal() and 0 < int(port) < 65_536):
         raise ConfigError("expected HOST:PORT, such as 127.0.0.1:5005")

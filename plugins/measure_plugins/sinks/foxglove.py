@@ -50,7 +50,7 @@ class FoxgloveSink(Sink):
 
     def prepare(self) -> None:
         """Read the address and load the libraries."""
-        self._place = dict(zip(("host", "port"), host_port(self.address), strict=True))
+        self._place = dict(zip(("host", "port"), host_port(self.address, 8765), strict=True))
         self._foxglove = needed("foxglove", "foxglove")
         # Its lines would stand between ours; only the first call has an effect.
         self._foxglove.set_log_level("ERROR")

@@ -34,7 +34,7 @@ class IgtlSink(Sink):
 
     def prepare(self) -> None:
         """Read the address and load the libraries."""
-        self._place = host_port(self.address)
+        self._place = host_port(self.address, 18_944)
         self._messages = needed("pyigtl.messages", "igtl")
         self._names = self._device_names()
         self.notes = [

@@ -113,6 +113,14 @@ def test_foxglove_topics_hold_no_blanks_and_differ():
     assert all(re.fullmatch("(/[A-Za-z][A-Za-z0-9_]*){1,2}", topic) for topic in topics)
 
 
+@pytest.mark.parametrize(("given", "place"), [
+    ("", (HOST, 18944)), ("10.0.0.1", ("10.0.0.1", 18944)), ("[::1]", ("::1", 18944)),
+    ("10.0.0.1:7", ("10.0.0.1", 7)),
+])  # fmt: skip
+def test_a_server_has_a_usual_place(given, place):
+    assert build(f"igtl://{given}", run_of("tool"))._place == place
+
+
 def test_igtl_tells_the_name_where_poses_are_sent():
     lines, run = list[str](), run_of("raven three-ball body")
     open_sending(SendOptions((address("igtl"),), note=lines.append), Registry.discover(), run)
