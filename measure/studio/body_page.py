@@ -10,6 +10,7 @@ from nicegui import events, ui
 
 from measure import api
 from measure.errors import ConfigError
+from measure.studio import drawings
 from measure.studio.bench import Bench, Job
 from measure.studio.layout import (
     WIDTH_PX,
@@ -139,7 +140,8 @@ def add(bench: Bench) -> None:
         with page(bench, "/body"):
             intro(
                 "Turn the body slowly before the cameras while it is recorded: its balls are found "
-                "by their colours. One that is not found: choose its name, and click it."
+                "by their colours. One that is not found: choose its name, and click it.",
+                drawings.body_in_hand(),
             )
             body = _settings(bench, making)
             told(making.figures, "figure", "data-body")
