@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 
 from measure.session import open_session, read_trajectory
+from measure.studio.layout import WIDTH_PX
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium, find_chromium
 from tests.studio.desk import FOOT, choose, click_at, go, press, strike, studio
@@ -43,13 +45,15 @@ def desk_with(still, folder):
 
 
 def yellow_px(still):
-    """Where the yellow ball is in cam0."""
+    """Where the yellow ball is in cam0, in px of the smaller picture that the page shows."""
+    width = cv2.imread(str(min((still / "cam0").glob("*.jpg")))).shape[1]
+    scale = WIDTH_PX / width
     with open_session(still) as session:
         times_s = session.streams["cam0"].times_s[:1]
         pose = read_trajectory(still / "truth.csv").at(times_s)[0]
         body = session.body
         center = pose.apply(body.centers[body.index("yellow")][None])
-        return np.ravel(session.cameras[0].project(center))
+        return scale * (np.ravel(session.cameras[0].project(center)) + 0.5) - 0.5
 
 
 def test_a_click_on_the_ground_teaches_nothing(still, tmp_path):
@@ -62,7 +66,7 @@ def test_a_click_on_the_ground_teaches_nothing(still, tmp_path):
     ):
         go(page, address + "body")
         page.wait_for(SHOWN.format(1), 30)
-        page.wait_for(SAYS.format("looking for balls"), 20)
+        page.wait_for(SAYS.format("cam0: green, red, yellow"), 60)
         assert not page.evaluate(SAYS.format("no ball found"))
         choose(page, "Ball to click", "yellow")
         click_at(page, "img.live", 20, 20)
