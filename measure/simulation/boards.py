@@ -144,6 +144,8 @@ _PLACES = ((0, 0, 0.6), (-1, -1, 0.45), (1, -1, 0.45), (-1, 1, 0.45), (1, 1, 0.4
 _TILT_RAD = np.deg2rad(28.0)
 _SHARED = 5  # Poses between two neighbours
 _EDGE_PX = 12.0  # Between the picture's edge and the corner nearest to it
+_OBLIQUE_RAD = np.deg2rad(55.0)  # Chessboards are found by a camera up to here, and not much beyond
+_TRIES = 50
 
 
 def _before(camera: Camera, points: Floats, rng: np.random.Generator) -> Iterator[RigidTransform]:
@@ -168,13 +170,25 @@ def _before(camera: Camera, points: Floats, rng: np.random.Generator) -> Iterato
 def _between(
     pair: Sequence[Camera], points: Floats, middle: Floats, rng: np.random.Generator
 ) -> RigidTransform:
-    """A pose near the middle, turned to a place between two cameras."""
+    """A pose near the middle, turned to a place between two cameras, which both see all of it."""
     towards = np.mean([camera.center for camera in pair], axis=0) - middle
     away = -towards / np.linalg.norm(towards)
     right = np.cross(away, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     facing = RigidTransform(np.column_stack([right, np.cross(away, right), away]), np.zeros(3))
-    tilt = RigidTransform.from_rotvec(rng.uniform(-0.6, 0.6, 3) * _TILT_RAD)
-    turn = facing @ tilt
-    place = middle + rng.uniform(-25, 25, 3) - turn.rotate(points.mean(axis=0))
-    return replace(turn, translation=place)
+    for _ in range(_TRIES):
+        turn = facing @ RigidTransform.from_rotvec(rng.uniform(-0.6, 0.6, 3) * _TILT_RAD)
+        place = middle + rng.uniform(-25, 25, 3) - turn.rotate(points.mean(axis=0))
+        pose = replace(turn, translation=place)
+        if all(_shows(camera, pose, points) for camera in pair):
+            break
+    return pose
+
+
+def _shows(camera: Camera, pose: RigidTransform, points: Floats) -> bool:
+    """Whether the camera sees a board's points (n, 3), not too much from the side."""
+    places = pose.apply(points)
+    sight = places.mean(axis=0) - camera.center
+    cosine = sight @ pose.rotation[:, 2] / np.linalg.norm(sight)
+    inside = camera.intrinsics.contains(camera.project(places), _EDGE_PX)
+    return bool(cosine > np.cos(_OBLIQUE_RAD) and inside.all())

@@ -37,6 +37,23 @@ def test_a_board_is_seen_where_the_lens_shows_it(name, tmp_path):
     assert np.sqrt(np.mean(off**2)) < 0.1
 
 
+@pytest.mark.parametrize("name", api.DEMO_BOARDS)
+def test_neighbours_see_a_board_together_often_enough(name):
+    """Whole and within 55 degrees, as a chessboard must be seen: or its waving never ends."""
+    cameras, points = webcam_scene().cameras, read_board(api.shipped_targets()[name]).points
+    poses = held_poses(cameras, points, WORKSPACE_MM)
+    for one, other in zip(cameras, [*cameras[1:], cameras[0]], strict=True):
+        shared = [pose for pose in poses if shows(one, pose, points) and shows(other, pose, points)]
+        assert len(shared) >= 4
+
+
+def shows(camera, pose, points):
+    places = pose.apply(points)
+    sight = places.mean(axis=0) - camera.center
+    oblique = np.degrees(np.arccos(sight @ pose.rotation[:, 2] / np.linalg.norm(sight)))
+    return oblique < 55 and camera.intrinsics.contains(camera.project(places), 12.0).all()
+
+
 def test_the_folder_says_what_is_shown(tmp_path):
     scene = webcam_scene()
     assert demo._act_of(tmp_path) == "waved"
