@@ -48,7 +48,7 @@ def test_a_wrong_body_file_is_told(clutter, tmp_path):
     text = (clutter / "body.toml").read_text()
     body = tmp_path / "body.toml"
     body.write_text(text.replace("38.0", "33.0"))
-    found = check(clutter, Registry.discover(), body=body, samples=16, clock_samples=0)
+    found = check(clutter, Registry.discover(), body=body, samples=20, clock_samples=0)
     assert any("1.15" in line and "times as far apart" in line for line in wrong(found))
 
 
