@@ -96,7 +96,7 @@ def _wave(
             times_s = {image.camera: image.time_s for image in images}
             mirrored = [name for name, view in seen.items() if view == _MIRRORED]
             if len(wave.sizes_wh) == len(names) and wave.add(views, times_s, mirrored):
-                _write(out, len(wave.kept), [i for i in images if i.camera in views])
+                _write(out, len(wave.kept), [i for i in images if i.camera in wave.kept[-1]])
             state = wave.state()
             on_state(state)
             if state.enough:
@@ -115,9 +115,10 @@ def _look(board: Board, image: Image) -> Corners | Literal["mirrored"] | None:
 def _begin(out: Path, board: Path, names: Sequence[str]) -> None:
     """Write all but the pictures."""
     out.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(board, out / "board.toml")
+    copy = f"board{board.suffix.lower()}"  # Kalibr's YAML stays one
+    shutil.copyfile(board, out / copy)
     tables = [{"name": name, "intrinsics": f"{glob.escape(name)}/*.jpg"} for name in names]
-    about = {"name": out.resolve().name, "board": "board.toml", "common_views": True}
+    about = {"name": out.resolve().name, "board": copy, "common_views": True}
     (out / _MARK).write_text(dump_toml({"capture": about, "cameras": tables}), "utf-8")
     for name in names:
         (out / name).mkdir()

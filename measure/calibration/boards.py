@@ -71,6 +71,10 @@ class Board(Protocol):
         """
         return (np.arange(len(self.points)),)
 
+    @property
+    def title(self) -> str:
+        """What it is, for people who hold it."""
+
     def find(self, gray: Bytes, source: str = "") -> Corners | None:
         """The corners in a grey picture (h, w), or None where there is no board."""
 
@@ -119,6 +123,11 @@ class Chessboard(Board):
     def points(self) -> Floats:
         """All corners (n, 3) in mm."""
         return _grid(self.inner_corners, self.square_mm)
+
+    @property
+    def title(self) -> str:
+        """What it is, for people who hold it."""
+        return "chessboard of {}x{} inner corners".format(*self.inner_corners)
 
     @property
     def turns(self) -> tuple[Ints, ...]:
@@ -204,6 +213,11 @@ class Charuco(Board):
     inverted: bool = False  # printed white on black
     # OpenCV's pattern before 4.6 (differs for an even number of rows of squares).
     legacy: bool = False
+
+    @property
+    def title(self) -> str:
+        """What it is, for people who hold it."""
+        return "ChArUco board of {}x{} inner corners".format(*self.inner_corners)
 
     @property
     def squares(self) -> tuple[int, int]:
@@ -304,6 +318,11 @@ class AprilGrid(Board):
     tags: tuple[int, int]  # along x and along y
     tag_mm: float  # side of a tag, with its black border
     tag_spacing: float  # gap between tags, in sides of a tag
+
+    @property
+    def title(self) -> str:
+        """What it is, for people who hold it."""
+        return "AprilGrid of {}x{} tags".format(*self.tags)
 
     @cached_property
     def points(self) -> Floats:

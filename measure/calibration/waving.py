@@ -27,6 +27,7 @@ _SLIP_PX = 0.5  # How far the board may move between the pictures of one instant
 _FAR_PX = 12.0  # Corners nearer to each other than this are found seldom, and badly
 _SLOW_S = 1.0  # A computer that looks more seldom than this is told of: hands wait for it
 _BLURRED_SHARE = 0.5
+_UNSEEN_LOOKS = 30  # In succession, before it is asked whether the board is the one that was chosen
 _FIT_EVERY = 4  # Instants after which the cameras are fitted again
 _FEWEST, _COMMON = 8, 4  # Views of a camera, and of two neighbours, from which the fit may decide
 _TILTED_DEG, _TILTS, _DISTANCES = 20.0, 4, 1.3
@@ -102,6 +103,8 @@ class BoardWave:
     _last: dict[str, float] = field(default_factory=dict)
     _now: dict[str, Now] = field(default_factory=dict)
     _look_s: tuple[float, float] = (np.nan, np.nan)  # When it was looked last, and before
+    _problem: str = ""  # Why the views do not fit each other
+    _unseen_looks: int = 0  # Since the beginning or the last one at which a camera saw the board
 
     def add(
         self,
@@ -109,10 +112,11 @@ class BoardWave:
         times_s: Mapping[str, float],
         mirrored: Collection[str] = (),
     ) -> bool:
-        """Take the views of one instant, by camera, and say whether they are kept.
+        """Take the views of one instant, by camera, and say whether some of them are kept.
 
-        They are if one is unlike all before it, none is blurred, and the board hardly moved from
-        the first of the pictures to the last, by how it moved since it was looked at before.
+        Those are that are not blurred, and in which the board hardly moved from the first of the
+        pictures to the last, by how it moved since it was looked at before; if one is unlike all
+        before it.
 
         Args:
             views: of the cameras that see the board.
@@ -127,6 +131,7 @@ class BoardWave:
         self._last |= {name: view.sharpness for name, view in views.items()}
         self._look_s = max(times_s.values(), default=np.nan), self._look_s[0]
         far = [name for name, view in views.items() if self._pitch_px(view) < _FAR_PX]
+        self._unseen_looks = 0 if views or mirrored else self._unseen_looks + bool(times_s)
         self._now = dict.fromkeys(views, Now.SEEN)
         for names, what in (
             (far, Now.FAR),
@@ -135,9 +140,10 @@ class BoardWave:
             (mirrored, Now.MIRRORED),
         ):
             self._now |= dict.fromkeys(names, what)
-        if moving or blurred or not any(self._is_new(n, at) for n, at in outlines.items()):
+        good = {name: at for name, at in outlines.items() if name not in (*moving, *blurred)}
+        if not any(self._is_new(name, at) for name, at in good.items()):
             return False
-        self._keep(views, outlines)
+        self._keep({name: views[name] for name in good}, good)
         return True
 
     def _keep(self, views: Mapping[str, Corners], outlines: Mapping[str, Floats]) -> None:
@@ -147,7 +153,7 @@ class BoardWave:
             self._outlines.setdefault(name, []).append(at)
             self._poses.setdefault(name, []).append(self._pose(name, views[name]))
         if len(self.kept) % _FIT_EVERY == 0:
-            self._sd_mm = self._fitted_mm()
+            self._sd_mm, self._problem = self._fitted_mm()
 
     def state(self) -> WaveState:
         """How far it is."""
@@ -158,7 +164,9 @@ class BoardWave:
         }
         lacks = [*_advice(cameras), *_unconnected(list(cameras), pairs)]
         if not (lacks or self._sd_mm <= self.goal_mm):
-            lacks = ["every camera: other places, other tilts"]
+            lacks = [self._problem or "every camera: other places, other tilts"]
+        if self._unseen_looks >= _UNSEEN_LOOKS:
+            lacks.insert(0, f"no {self.board.title} is found: is it this one? Show all of it")
         period_s = self._look_s[0] - self._look_s[1]
         advice = (*_at_once(cameras, period_s), *lacks) if lacks else ()
         return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, advice)
@@ -168,10 +176,14 @@ class BoardWave:
         lasted_s = max(abs(times_s[name] - other) for other in times_s.values())
         if not lasted_s:
             return 0.0
-        if name not in self._before:
-            return np.inf
-        before_s, before = self._before[name]
-        return lasted_s * rms_length(at - before) / (times_s[name] - before_s)
+        before_s, before = self._before.get(name, (np.nan, at))
+        since_s = times_s[name] - before_s
+        return lasted_s * self._apart_px(at, before) / since_s if since_s > 0 else np.inf
+
+    def _apart_px(self, one: Floats, other: Floats) -> float:
+        """How far outlines lie apart; of a board that looks the same turned, the nearest two."""
+        turns = range(0, 4, 4 // len(self.board.turns))
+        return min(rms_length(np.roll(one, turn, axis=0) - other) for turn in turns)
 
     def _pitch_px(self, view: Corners) -> float:
         """Mean distance of neighbouring corners in a picture."""
@@ -182,7 +194,7 @@ class BoardWave:
 
     def _is_new(self, name: str, at: Floats) -> bool:
         least = _NEW_SHARE * float(np.hypot(*self.sizes_wh[name]))
-        return all(rms_length(at - other) > least for other in self._outlines.get(name, ()))
+        return all(self._apart_px(at, other) > least for other in self._outlines.get(name, ()))
 
     def _is_blurred(self, name: str, view: Corners) -> bool:
         usual = [one[name].sharpness for one in self.kept if name in one]
@@ -198,26 +210,29 @@ class BoardWave:
             len(far),
             cells,
             int(np.sum(tilts > _TILTED_DEG)),
-            float(far.max() / far.min()) if len(far) else np.nan,
+            float(np.nanmax(far) / np.nanmin(far)) if np.isfinite(far).any() else np.nan,
             self._last.get(name, np.nan),
             self._now.get(name, Now.NOTHING),
         )
 
     def _pose(self, name: str, view: Corners) -> tuple[float, float]:
-        """Tilt in degrees and distance in mm of the board, by an ordinary lens."""
+        """Tilt in degrees and distance in mm of the board, by an ordinary lens; NaN if by none."""
         width, height = self.sizes_wh[name]
         matrix = np.diag([_FOCAL * max(width, height)] * 2 + [1.0])
         matrix[:2, 2] = width / 2, height / 2
         plain = Intrinsics((width, height), matrix, np.zeros(5))
-        pose = board_pose(plain, self.board.points[view.ids], view.pixels)
+        try:
+            pose = board_pose(plain, self.board.points[view.ids], view.pixels)
+        except CalibrationError:
+            return np.nan, np.nan
         tilt = float(np.degrees(np.arccos(min(abs(pose.rotation[2, 2]), 1.0))))
         return tilt, float(np.linalg.norm(pose.translation))
 
     def _views(self, name: str) -> list[Corners]:
         return [one[name] for one in self.kept if name in one]
 
-    def _fitted_mm(self) -> float:
-        """The expected error of the body, by the covariance of the views so far."""
+    def _fitted_mm(self) -> tuple[float, str]:
+        """The expected error of the body, by the views' covariance; NaN, and why, without one."""
         lenses, points = {}, self.board.points
         try:
             for name, size_wh in self.sizes_wh.items():
@@ -230,9 +245,11 @@ class BoardWave:
             cameras, around, joint = fit_common_views(self.board, lenses)
             places = workspace_of(cameras, around).grid()
             poses = [RigidTransform(np.eye(3), place) for place in places]
-            return rms_length(body_pose_sd(cameras, self.body, poses, *joint)[0][:, None])
-        except (CalibrationError, DegenerateGeometryError, ValueError):
-            return float("nan")  # too few views, or too much alike
+            return rms_length(body_pose_sd(cameras, self.body, poses, *joint)[0][:, None]), ""
+        except (CalibrationError, DegenerateGeometryError) as problem:
+            return float("nan"), str(problem)  # too few views, too much alike, or mirrored
+        except ValueError:
+            return float("nan"), ""
 
 
 _MENDED = {

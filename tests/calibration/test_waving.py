@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.errors import body_cost
 from measure.arrays import rms_length
-from measure.calibration import BoardWave, Corners
+from measure.calibration import BoardWave, Chessboard, Corners
 from measure.calibration.board_views import LENS_MODELS, fit_lens, start_intrinsics
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import LensCalibration
@@ -219,3 +219,55 @@ def test_a_chessboard_is_looked_for_in_small_pictures(rng):
             assert view is not None
             assert rms_length(view.pixels - true[view.ids]) < 0.1
     assert spent["look"] < 0.5 * spent["find"]
+
+
+def test_a_camera_in_which_the_board_moves_waits_alone(rng):
+    """What the others see at rest is kept without it."""
+    wave, times = wave_of(), {"cam0": 0.0, "cam1": 0.016}
+    views = seen(1.0, rng)
+    wave.add(views, times)
+    moved = {"cam0": views["cam0"], "cam1": seen(1.2, rng)["cam1"]}
+    assert wave.add(moved, {n: s + 0.2 for n, s in times.items()})
+    assert [*wave.kept[-1]] == ["cam0"]
+    assert "seen in cam1: hold it still" in wave.state().advice
+
+
+def test_a_board_that_looks_the_same_turned_does_not_move_by_turning(rng):
+    """Its corners may be numbered from either end at every look."""
+    target, camera = Chessboard((8, 6), 25.0), CAMERAS[0]
+    wave = BoardWave(target, dict.fromkeys(NAMES, SIZE_WH), paper_body())
+    at = camera.project(waved(1.0, target).apply(target.points))
+    ways = [Corners(np.arange(len(at)), pixels, 0.4) for pixels in (at, at[::-1], at)]
+    times = {"cam0": 0.0, "cam1": 0.016}
+    kept = [
+        wave.add({"cam0": view, "cam1": view}, {n: s + k for n, s in times.items()})
+        for k, view in enumerate(ways)
+    ]
+    assert kept == [False, True, False]
+
+
+def test_a_camera_in_mirror_mode_is_named_for_a_chessboard_too(rng):
+    """One picture of a chessboard does not show it; all together do."""
+    target = plain_board()
+    wave = BoardWave(target, dict.fromkeys(NAMES, SIZE_WH), paper_body())
+    flipped = np.arange(len(target.points)).reshape(6, 9)[::-1].ravel()
+    for time_s in np.arange(0.0, 120.0, 0.5):
+        views = {}
+        for camera in CAMERAS:
+            at = camera.project(waved(time_s, target).apply(target.points))
+            if camera.intrinsics.contains(at).all():
+                at = at + rng.normal(0, NOISE_PX, at.shape)
+                if camera.name == "cam1":
+                    at = (at * [-1, 1] + [SIZE_WH[0] - 1, 0])[flipped]
+                views[camera.name] = Corners(np.arange(len(at)), at, 0.4)
+        wave.add(views, at_once(NAMES, time_s))
+    assert np.isnan(wave.state().position_sd_mm)
+    assert any("cam1" in line and "mirror" in line for line in wave.state().advice)
+
+
+def test_a_board_that_is_never_found_is_asked_about():
+    wave = wave_of()
+    for number in range(40):
+        wave.add({}, at_once(NAMES, number / 10))
+    asked = "no ChArUco board of 8x5 inner corners is found: is it this one? Show all of it"
+    assert wave.state().advice[0] == asked
