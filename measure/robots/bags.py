@@ -240,8 +240,9 @@ def bag_pieces(
     path: Path, schema: StateSchema, topic: str | None = None
 ) -> Iterator[tuple[Floats, Floats]]:
     """Stamps (n,) in s and states (n, features) of one arm from a bag, piece by piece."""
-    if not path.is_dir():
-        check_ordinary(path, EstimatorError)
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if not file.is_dir():  # A pipe in the bag's folder would be waited for
+            check_ordinary(file, EstimatorError)
     states = _bag_states(path, schema, topic)
     while some := list(itertools.islice(states, PIECE_ROWS)):
         times, rows = zip(*some, strict=True)

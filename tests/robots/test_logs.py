@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,6 +122,17 @@ def _write_counted(path: Path, definition: str) -> None:
             )  # fmt: skip
             data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, kind)
             writer.write(connection, round(1e9 * 100 + 1e6 * index), data)
+
+
+@pytest.mark.parametrize("file", ["metadata.yaml", "bag.db3"])
+def test_a_pipe_in_the_folder_of_a_bag_is_refused(tmp_path: Path, file: str) -> None:
+    bag = tmp_path / "bag"
+    _write_counted(bag, RAVEN_STATE)
+    assert len(read_log(bag, raven_schema()).states) == 2
+    (bag / file).unlink()
+    os.mkfifo(bag / file)
+    with pytest.raises(EstimatorError, match=file):
+        read_log(bag, raven_schema())
 
 
 def test_missing_features_are_named(log: RobotLog, tmp_path: Path) -> None:
