@@ -34,10 +34,10 @@ FACE_MM, TAG_MM = 60.0, 46.0
 OFF_MM = 0.1  # How far, each way, a face is glued from its place
 RATE_HZ = 30.0
 _CELLS_PX = 20  # Texture pixels a cell of a tag
-_SUBPIXELS = 4  # Rays a pixel, each way
+_SUBPIXELS = 3  # Rays a pixel, each way
 _PAPER, _INK, _CLOTH = 0.75, 0.03, 0.02  # Reflectances
 _AMBIENT, _LAMP = 0.45, 0.55  # Shares of a face's light; the lamp is above
-_MOST_STEPS = 24  # Instants averaged over an exposure
+_MOST_STEPS = 16  # Instants averaged over an exposure
 _LEAST_FACING = 0.15  # Cosine; a face turned farther away is not drawn
 FAMILIES = {"AprilTag 36h11": cv2.aruco.DICT_APRILTAG_36h11, "ArUco 5x5": cv2.aruco.DICT_5X5_50}
 
