@@ -71,6 +71,11 @@ class WaveState:
     advice: tuple[str, ...]  # what to do next, the most useful first; none when it is enough
 
     @property
+    def accurate(self) -> bool:
+        """Whether the goal is reached, though views may still be missing."""
+        return self.position_sd_mm <= self.goal_mm
+
+    @property
     def enough(self) -> bool:
         """Whether lens and rig are as good as was asked for."""
         return not self.advice
@@ -82,7 +87,7 @@ class WaveState:
         said = f"expected error at the body {self.position_sd_mm:.3f} mm, "
         if self.enough:
             return f"{said}good enough"
-        if self.position_sd_mm > self.goal_mm:
+        if not self.accurate:
             return f"{said}not good enough yet"
         return f"{said}accurate enough; still to do: {self.advice[0]}"
 
@@ -96,7 +101,7 @@ class BoardWave:
     body: Body  # that will be measured
     goal_mm: float = GOAL_MM
     kept: list[dict[str, Corners]] = field(default_factory=list)
-    _outlines: dict[str, list[Floats]] = field(default_factory=dict)
+    _outlines: list[dict[str, Floats]] = field(default_factory=list)  # Of what is kept
     _poses: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     _before: dict[str, tuple[float, Floats]] = field(default_factory=dict)  # At the last look
     _sd_mm: float = np.nan
@@ -116,7 +121,7 @@ class BoardWave:
 
         Those are that are not blurred, and in which the board hardly moved from the first of the
         pictures to the last, by how it moved since it was looked at before; if one is unlike all
-        before it.
+        before it, or two cameras with few common views see the board as never before together.
 
         Args:
             views: of the cameras that see the board.
@@ -141,7 +146,7 @@ class BoardWave:
         ):
             self._now |= dict.fromkeys(names, what)
         good = {name: at for name, at in outlines.items() if name not in (*moving, *blurred)}
-        if not any(self._is_new(name, at) for name, at in good.items()):
+        if not self._is_new(good):
             return False
         self._keep({name: views[name] for name in good}, good)
         return True
@@ -149,8 +154,8 @@ class BoardWave:
     def _keep(self, views: Mapping[str, Corners], outlines: Mapping[str, Floats]) -> None:
         number = str(len(self.kept))  # by which views of one instant are known
         self.kept.append({name: replace(view, source=number) for name, view in views.items()})
-        for name, at in outlines.items():
-            self._outlines.setdefault(name, []).append(at)
+        self._outlines.append({**outlines})
+        for name in outlines:
             self._poses.setdefault(name, []).append(self._pose(name, views[name]))
         if len(self.kept) % _FIT_EVERY == 0:
             self._sd_mm, self._problem = self._fitted_mm()
@@ -192,9 +197,22 @@ class BoardWave:
         spread_mm = rms_length(points - points.mean(axis=0))
         return float(apart_mm * rms_length(view.pixels - view.pixels.mean(axis=0)) / spread_mm)
 
-    def _is_new(self, name: str, at: Floats) -> bool:
-        least = _NEW_SHARE * float(np.hypot(*self.sizes_wh[name]))
-        return all(self._apart_px(at, other) > least for other in self._outlines.get(name, ()))
+    def _is_new(self, outlines: Mapping[str, Floats]) -> bool:
+        """Whether a camera sees the board where it never did, or two that hardly shared a view."""
+        return any(self._is_unlike({name: outlines[name]}) for name in outlines) or any(
+            self._is_unlike({name: outlines[name] for name in pair})
+            for pair in combinations(outlines, 2)
+            if sum({*pair} <= {*kept} for kept in self._outlines) < _COMMON
+        )
+
+    def _is_unlike(self, outlines: Mapping[str, Floats]) -> bool:
+        """Whether one of the outlines is unlike those of each instant that all cameras shared."""
+        least = {n: _NEW_SHARE * float(np.hypot(*self.sizes_wh[n])) for n in outlines}
+        return all(
+            any(self._apart_px(at, kept[name]) > least[name] for name, at in outlines.items())
+            for kept in self._outlines
+            if {*outlines} <= {*kept}
+        )
 
     def _is_blurred(self, name: str, view: Corners) -> bool:
         usual = [one[name].sharpness for one in self.kept if name in one]

@@ -94,7 +94,7 @@ class _Wave:
     @property
     def is_accurate(self) -> bool:
         """Whether the goal is reached, though parts of pictures may still be empty."""
-        return self.state is not None and self.state.position_sd_mm <= self.state.goal_mm
+        return self.state is not None and self.state.accurate
 
     @property
     def share(self) -> float:

@@ -271,3 +271,15 @@ def test_a_board_that_is_never_found_is_asked_about():
         wave.add({}, at_once(NAMES, number / 10))
     asked = "no ChArUco board of 8x5 inner corners is found: is it this one? Show all of it"
     assert wave.state().advice[0] == asked
+
+
+def test_what_two_cameras_share_is_kept_though_each_knows_it(rng):
+    """Or the board that is shown to both, as advised, would be refused for ever."""
+    wave, views = wave_of(), seen(1.0, rng)
+    assert [*views] == NAMES
+    for number, name in enumerate(NAMES):
+        wave.add({name: views[name]}, {name: float(number)})
+    assert wave.state().pairs["cam0", "cam1"] == 0
+    assert wave.add(views, at_once(NAMES, 3.0))
+    assert wave.state().pairs["cam0", "cam1"] == 1
+    assert not wave.add(views, at_once(NAMES, 4.0))
