@@ -142,7 +142,7 @@ def held_poses(
 _PLACES = ((0, 0, 0.6), (-1, -1, 0.45), (1, -1, 0.45), (-1, 1, 0.45), (1, 1, 0.45), (0.3, 0, 0.33))
 """Before a camera: to the side and down, from edge to edge, and width over the picture's."""
 _TILT_RAD = np.deg2rad(28.0)
-_SHARED = 5  # Poses between two neighbours
+_SHARED = 6  # Poses between two neighbours
 _EDGE_PX = 12.0  # Between the picture's edge and the corner nearest to it
 _OBLIQUE_RAD = np.deg2rad(55.0)  # Chessboards are found by a camera up to here, and not much beyond
 _TRIES = 50
@@ -178,7 +178,7 @@ def _between(
     facing = RigidTransform(np.column_stack([right, np.cross(away, right), away]), np.zeros(3))
     for _ in range(_TRIES):
         turn = facing @ RigidTransform.from_rotvec(rng.uniform(-0.6, 0.6, 3) * _TILT_RAD)
-        place = middle + rng.uniform(-25, 25, 3) - turn.rotate(points.mean(axis=0))
+        place = middle + rng.uniform(-45, 45, 3) - turn.rotate(points.mean(axis=0))
         pose = replace(turn, translation=place)
         if all(_shows(camera, pose, points) for camera in pair):
             break
