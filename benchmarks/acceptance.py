@@ -19,10 +19,10 @@ import numpy as np
 from benchmarks.command import run_command
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
-from measure.metrology.lengths import Acceptance, between_rests, judge
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import find_rests
 from measure.model import Body, paper_body
+from measure_lab.lengths import Acceptance, between_rests, judge
 
 STATED = np.diag([0.02, 0.02, 0.03, *[np.deg2rad(0.035)] * 3]) ** 2
 """Of every pose: 0.041 mm and 0.06 deg, 3-D."""

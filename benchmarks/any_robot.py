@@ -21,12 +21,13 @@ from benchmarks.command import run_command
 from benchmarks.errors import rms
 from measure.arrays import Floats
 from measure.geometry import RigidTransform, align_points
-from measure.robots import SerialChain, find_schema
-from measure.robots.tables import Table
+from measure.robots import SerialChain
 from measure.session import Trajectory
 from measure.simulation import write_session
 from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
 from measure.simulation.recording import write_truth
+from measure_learning.robots import find_schema
+from measure_learning.robots.tables import Table
 
 HOME_DEG = np.array([0.0, -100, -110, -60, 90, 0])
 SWING_DEG = np.array([1.5, 1.2, 1.5, 18, 18, 25])

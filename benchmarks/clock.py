@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.command import run_command
-from measure.learning import estimate_offset
-from measure.learning.simulated import recording
-from measure.robots.simulator import Cables, simulate
+from measure_learning.core import estimate_offset
+from measure_learning.core.simulated import recording
+from measure_learning.simulator import Cables, simulate
 
 OFFSET_S = 1.5
 NOTHING = (0.0,) * 7

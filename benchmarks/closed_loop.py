@@ -17,8 +17,8 @@ import numpy as np
 
 from benchmarks.command import run_command
 from benchmarks.errors import rms
-from measure.robots import raven_schema, read_log
-from measure.robots.tables import Table
+from measure_learning.robots import raven_schema, read_log
+from measure_learning.robots.tables import Table
 
 
 def main() -> None:

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.command import run_command
-from measure.api import shipped_model
-from measure.learning import files
+from measure_learning.api import shipped_model
+from measure_learning.core import files
 
 ABOUT = (
     "Trained on the simulated RAVEN-II of this package, not on a real robot: for demonstrations "

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 from benchmarks.baselines import BASELINES, MaskDetector
 from measure.api import build_pipeline, load_profile
-from measure.api.profiles import find_tracker
-from measure.host import PoseSolver, Registry, Triangulator
+from measure.host import PoseSolver, Registry, Tracker, Triangulator
 from measure.host.settings import Settings
 from measure.measuring import Pipeline, Stages
 from measure.session import Session
@@ -49,7 +48,7 @@ def _baseline_pipeline(
     body, cameras = session.body, session.cameras
     stages = Stages(
         detectors={c.name: detector(Settings(), body, c) for c in cameras},
-        tracker=find_tracker("memoryless")(Settings(), body, cameras),
+        tracker=registry.build(Tracker, "memoryless", {}, body=body, cameras=cameras),
         triangulator=registry.build(Triangulator, "dlt", {}),
         solver=registry.build(PoseSolver, "kabsch", {}, body=body),
         per_image_timestamps=False,

@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.command import run_command
-from measure import api
 from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
-from measure.learning import EstimateClient, EstimateServer, StatePacket
-from measure.learning.datagrams import claim_realtime
-from measure.robots.simulator import simulate
+from measure_learning import api
+from measure_learning.core import EstimateClient, EstimateServer, StatePacket
+from measure_learning.core.datagrams import claim_realtime
+from measure_learning.simulator import simulate
 
 BLOCKS, BLOCK = 10, 1000
 

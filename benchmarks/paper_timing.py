@@ -22,10 +22,9 @@ from benchmarks.trial import reference_s
 from measure.api import load_profile
 from measure.host import Detector, PoseSolver, Registry, Triangulator
 from measure.measuring import Stages
-from measure.measuring.tracking import FrameUpdate
-from measure.measuring.tracking.paper import FrameUpdateSettings
 from measure.model import Detection, Expectation, FrameSet, Image
 from measure.session import Session, open_session
+from measure_paper.tracking import FrameUpdate, FrameUpdateSettings
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -19,9 +19,9 @@ import numpy as np
 from benchmarks.command import run_command
 from measure.arrays import Floats
 from measure.geometry import RigidTransform, chi_square_quantile
-from measure.learning import PoseTrack
-from measure.learning.registration import Recording, RegisterOptions, register
 from measure.robots import Feature, Joint, Reading, RobotLog, SerialChain, StateSchema, dh_link
+from measure_learning.core import PoseTrack
+from measure_learning.core.registration import Recording, RegisterOptions, register
 
 ALPHA_DEG = np.array([0.0, 90, 0, 0, 90, -90])
 A_MM = np.array([0.0, 0, -425.0, -392.2, 0, 0])

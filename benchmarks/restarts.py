@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.command import run_command
-from measure import api
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host import Dataset, OnnxModel
-from measure.learning import DriftMonitor, simulated_dataset
-from measure.learning.offline import rezero
-from measure.robots.simulator import Cables
+from measure_learning import api
+from measure_learning.core import DriftMonitor, simulated_dataset
+from measure_learning.core.offline import rezero
+from measure_learning.simulator import Cables
 
 MINUTES, FIRST_S = 3.0, 60.0
 SEEDS = range(21, 27)

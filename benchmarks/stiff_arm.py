@@ -17,8 +17,8 @@ from benchmarks.command import run_command
 from benchmarks.registration import HOME_DEG, SWING_DEG, schema, ur5e
 from measure.host import Dataset, Estimator, Registry, discover
 from measure.host.estimator import quiet
-from measure.learning import evaluate, join
 from measure.robots import SerialChain
+from measure_learning.core import evaluate, join
 
 PLAY_DEG = np.array([0.03, 0.03, 0.03, 0.06, 0.06, 0.06])
 """Half-widths of the joints' play."""

@@ -18,10 +18,9 @@ from plugin_reference import attributes, plugin_page
 
 from measure.api.profiles import load_profile, profile_names
 from measure.cli import build_app, main
-from measure.cli.app import GROUPS
 from measure.host import Loaded, Registry, Setting, describe_settings
 from measure.measuring import Profile
-from measure.measuring.tracking import TRACKERS
+from measure.neighbours import commands
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAD = """# Command line
@@ -55,6 +54,7 @@ KINDS = {
     "detector": "Detectors",
     "triangulator": "Triangulators",
     "solver": "Pose solvers",
+    "tracker": "Trackers",
     "estimator": "Estimators",
     "sink": "Sinks",
 }
@@ -64,7 +64,7 @@ SAME = re.compile(r"<!-- same as: (\S+) -->\n```(\w+)\n(.*?)```\n", re.DOTALL)
 def command_line_page() -> str:
     """The text of `docs/cli.md`."""
     app = build_app()
-    names = [name for commands in GROUPS.values() for name in commands if name in app]
+    names = [name for name in commands() if name in app]
     pages = [((), "measure")]
     for name in names:
         pages.append(((name,), f"measure {name}"))
@@ -94,9 +94,6 @@ def settings_page() -> str:
     for kind, title in KINDS.items():
         parts.append(f"\n## {title}\n")
         parts += [plugin_section(p) for p in sorted(own, key=lambda p: p.name) if p.kind == kind]
-    parts.append("\n## Tracking\n")
-    for name, tracker in sorted(TRACKERS.items()):
-        parts.append(section(name, tracker, describe_settings(tracker.Config)))
     return "".join(parts)
 
 

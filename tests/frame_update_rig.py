@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from measure.geometry import RigidTransform
-from measure.measuring.tracking import FrameUpdate
-from measure.measuring.tracking.paper import FrameUpdateSettings
 from measure.model import FrameSet, Image
 from measure.model.observations import State
-from measure_plugins.pose_solvers.simplex import SimplexSettings, SimplexSolver
-from measure_plugins.triangulators.midpoint import MidpointSettings, MidpointTriangulator
+from measure_paper.midpoint import MidpointSettings, MidpointTriangulator
+from measure_paper.simplex import SimplexSettings, SimplexSolver
+from measure_paper.tracking import FrameUpdate, FrameUpdateSettings
 from tests.scenes import RAVEN, TARGET, of_ball, ring, see
 
 CAMERAS = ring(4)

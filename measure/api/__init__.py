@@ -5,9 +5,9 @@ What learns and what draws loads when an action is called, not with this package
 is called with what is done of the pictures, frame sets or cameras, and how many there are.
 """
 
-from measure.api.accepting import Accepted, accept
 from measure.api.calibrating import (
     CalibrationResult,
+    board_frame,
     board_length,
     calibrate,
     calibrate_to,
@@ -18,16 +18,7 @@ from measure.api.calibrating import (
 from measure.api.cameras import cameras
 from measure.api.capturing import capture_board
 from measure.api.check import SessionCheck, check
-from measure.api.correcting import (
-    correct_simulated_robot,
-    estimate_file,
-    estimate_online,
-    model_file,
-    rezero,
-    robot_recording,
-    shipped_model,
-)
-from measure.api.demo import Demo, demo, render_demo
+from measure.api.demo import Addition, Demo, demo, render_demo
 from measure.api.detecting import (
     Samples,
     SeenPicture,
@@ -55,16 +46,7 @@ from measure.api.many import Outcome, run_many
 from measure.api.marking import MARK_KINDS, TAG_FAMILIES, Mark, Marking, MarkKind, begin_marks
 from measure.api.marks import TYPED
 from measure.api.measuring import measure_bodies, measure_session
-from measure.api.metrology import RestsSoFar, TipResult, pivot, rests, world, world_by_board
 from measure.api.outputs import new_folder, output
-from measure.api.pairing import (
-    RenderOptions,
-    SimulationOptions,
-    make_dataset,
-    register,
-    simulate_dataset,
-    simulate_recording,
-)
 from measure.api.playing import PlayEnd, PlayOptions, play
 from measure.api.playing_cameras import CAMERA_PORT, camera_line, play_cameras
 from measure.api.previewing import (
@@ -91,7 +73,6 @@ from measure.api.rendered_cameras import DEMO_BOARDS, demo_cameras
 from measure.api.results import body_names, compare, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.synchronising import SyncedClock, sync
-from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
 from measure.calibration import Verdict, WaveState
 from measure.capture import (
     CameraAddress,
@@ -110,26 +91,22 @@ from measure.results.evaluation import evaluation_tables
 from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
 
 __all__ = [
-    "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Accepted",
+    "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Addition",
     "BallWatch", "Calibration", "CalibrationResult", "Camera", "CameraAddress", "CameraCount",
     "CameraNow", "CaptureOptions", "CaptureRequest", "Control", "Demo", "DeviceControls",
     "FocalFrom", "FoundBody", "FoundCamera", "Lens", "LiveEnd", "LiveOptions", "LiveState", "Mark",
     "MarkKind", "Marking", "Measurement", "Mode", "Outcome", "PictureFacts", "PlayEnd",
-    "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry", "RenderOptions",
-    "RestsSoFar", "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck",
-    "SimulationOptions", "SweepOptions", "SyncedClock", "TipResult", "TrainOptions", "Verdict",
-    "WatchedCamera", "WaveState", "ablate", "accept", "begin_marks", "board_length", "body_names",
+    "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry", "RigidTransform",
+    "RunOptions", "Samples", "SeenPicture", "SessionCheck", "SyncedClock", "Verdict",
+    "WatchedCamera", "WaveState", "begin_marks", "board_frame", "board_length", "body_names",
     "build_pipeline", "calibrate", "calibrate_to", "camera_line", "camera_names", "cameras",
-    "capture_board", "check", "choose", "compare", "contents_of", "correct_simulated_robot", "demo",
-    "demo_cameras", "described", "detect", "draw", "draw_target", "drawings", "estimate_file",
-    "estimate_online", "evaluate", "evaluation_tables", "events", "export", "find_body", "inside",
-    "learnt_colors", "live", "load_profile", "make_dataset", "mark_event", "measure_bodies",
-    "measure_session", "model_file", "new_folder", "next_free", "output", "parse_cameras",
-    "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
-    "parse_size", "pivot", "play", "play_cameras", "profile_names", "read_body", "read_calibration",
-    "record", "refine", "register", "render_demo", "report", "rests", "rezero", "robot_recording",
-    "run", "run_many", "sampled_color", "shipped_model", "shipped_targets", "simulate_dataset",
-    "simulate_recording", "sweep", "sync", "train", "usb_notes", "web_viewer", "world",
-    "world_by_board", "write_body", "write_calibration", "write_measured_board",
-    "write_sampled_body",
+    "capture_board", "check", "choose", "compare", "contents_of", "demo", "demo_cameras",
+    "described", "detect", "draw", "draw_target", "drawings", "evaluate", "evaluation_tables",
+    "events", "export", "find_body", "inside", "learnt_colors", "live", "load_profile",
+    "mark_event", "measure_bodies", "measure_session", "new_folder", "next_free", "output",
+    "parse_cameras", "parse_click", "parse_controls", "parse_expectation", "parse_images",
+    "parse_size", "play", "play_cameras", "profile_names", "read_body", "read_calibration",
+    "record", "refine", "render_demo", "report", "run", "run_many", "sampled_color",
+    "shipped_targets", "sync", "usb_notes", "web_viewer", "write_body", "write_calibration",
+    "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

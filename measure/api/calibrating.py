@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import measure
 from measure.api.outputs import check_apart, output
+from measure.arrays import Bytes
 from measure.calibration import (
     Charuco,
     Chessboard,
@@ -23,9 +25,11 @@ from measure.calibration import (
     target_sheet,
     write_sheet,
 )
+from measure.calibration.common_views import board_frame as board_frame_of
 from measure.calibration.targets import read_board_file
 from measure.errors import ConfigError
-from measure.model import paper_body
+from measure.geometry import UncertainTransform
+from measure.model import Camera, paper_body
 from measure.processes import Progress, quiet
 from measure.session import Calibration, check_unit, dump_toml, read_body, write_calibration
 from measure.session.calibrations import Format
@@ -156,6 +160,18 @@ def write_measured_board(target: Path | str, square_mm: float, out: Path) -> Non
     if "marker_mm" in given:
         given["marker_mm"] *= square_mm / drawn_mm
     out.write_text(dump_toml(given | {"square_mm": square_mm}), encoding="utf-8")
+
+
+def board_frame(
+    board: Path, cameras: Sequence[Camera], pictures: Mapping[str, Bytes]
+) -> UncertainTransform:
+    """The frame world_from_board of a board that lies still, from a picture by each camera.
+
+    Its z axis points towards the cameras. `board` is a target file, or the name of one that comes
+    with the program; `pictures` are BGR by camera name. CalibrationError: the board is in no
+    picture, looks the same after a turn, or the pictures contradict each other.
+    """
+    return board_frame_of(read_board(find_target(board)), cameras, pictures)
 
 
 def find_target(path: Path) -> Path:

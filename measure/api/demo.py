@@ -1,14 +1,13 @@
-"""The demonstration: a rendered session measured against exact truth, and a corrected robot."""
+"""The demonstration: a rendered session measured against exact truth, and what others add."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
-from measure.api.correcting import correct_simulated_robot
 from measure.api.outputs import new_folder
 from measure.api.results import evaluate
 from measure.api.run import RunOptions, run
@@ -16,17 +15,24 @@ from measure.api.warming_up import compilation_notice, compile_pipeline
 from measure.errors import ConfigError
 from measure.host import Registry
 from measure.measuring import Profile
+from measure.neighbours import DEMO, offers
 from measure.processes import Progress, quiet
 from measure.results import RunEvaluation, Summary, read_runs
 from measure.session import open_session
 
-if TYPE_CHECKING:
-    from measure import learning
-
 DEMO_FRAMES = 30
 DEMO_RATE_HZ = 30.0
-ROBOT_S = 60.0  # How long the simulated robot moves
 _MARK = "session/session.toml"
+
+
+@dataclass(frozen=True)
+class Addition:
+    """What a package beside this one adds to the demonstration: one table."""
+
+    sentence: str  # above it
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str | float, ...], ...]
+    values: dict[str, Any]  # the same for programs
 
 
 @dataclass(frozen=True)
@@ -38,8 +44,7 @@ class Demo:
     picture: Path  # the views of one frame set with what was found in them
     summary: Summary
     evaluation: RunEvaluation
-    # the shipped network on a minute of the simulated robot it has not seen.
-    correction: learning.EstimatorEvaluation
+    additions: dict[str, Addition]  # by name of their entry points
 
 
 def demo(
@@ -52,8 +57,9 @@ def demo(
 ) -> Demo:
     """Render a short session of four cameras, measure it, and compare it with the exact truth.
 
-    Then the second half of the way: correct a simulated robot's position with the shipped network.
-    Of an earlier demonstration in the folder ConfigError, or with `overwrite` it is replaced.
+    Then what packages beside this one add, by entry points of the group `measure.demo`: functions
+    without arguments that return an `Addition`. Of an earlier demonstration in the folder
+    ConfigError, or with `overwrite` it is replaced.
     """
     from measure.simulation.catalogue import webcam_scene
     from measure.viewing.drawings import write_mosaic
@@ -79,8 +85,8 @@ def demo(
         summary = run(session, run_folder, profile, registry, options, measured)
         with open_session(session) as opened:
             write_mosaic(opened, read_runs(run_folder), frames // 2, picture)
-        correction = correct_simulated_robot(ROBOT_S)
-        return Demo(session, run_folder, picture, summary, evaluate(run_folder), correction)
+        additions = {name: demonstrated() for name, demonstrated in offers(DEMO)}
+        return Demo(session, run_folder, picture, summary, evaluate(run_folder), additions)
 
 
 def render_demo(folder: Path, frames: int = DEMO_FRAMES, progress: Progress = quiet) -> Path:

@@ -12,11 +12,9 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from measure.errors import ConfigError
-from measure.host import Detector, PoseSolver, Registry, Triangulator
-from measure.host.settings import read_settings
+from measure.host import Detector, PoseSolver, Registry, Tracker, Triangulator
 from measure.measuring import Pipeline, Profile, Stages
 from measure.measuring.profile import Stage
-from measure.measuring.tracking import TRACKERS
 from measure.model import Body, Camera
 from measure.reading import parse_toml
 from measure.session import load_toml
@@ -88,13 +86,6 @@ def parse_value(text: str) -> Any:
         return text.strip()
 
 
-def find_tracker(name: str) -> type[Any]:
-    """The way of tracking called `name`; ConfigError if there is none."""
-    if name not in TRACKERS:
-        raise ConfigError(f"no tracking is called '{name}'; there is {', '.join(sorted(TRACKERS))}")
-    return TRACKERS[name]
-
-
 def build_detectors(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> dict[str, Detector]:
@@ -115,10 +106,6 @@ def build_pipeline(
     settings that do not fit, or a solver of outlines with a detector of none.
     """
     settings = profile.settings
-    tracker = find_tracker(profile.tracking)
-    tracking = read_settings(
-        tracker.Config, settings.get("tracking", {}), f"tracking '{profile.tracking}'"
-    )
     detectors = build_detectors(profile, registry, body, cameras)
     solver = registry.build(PoseSolver, profile.solver, settings.get("solver", {}), body=body)
     if solver.requires_outlines and any(d.provides_outlines is False for d in detectors.values()):
@@ -129,7 +116,9 @@ def build_pipeline(
         )
     stages = Stages(
         detectors=detectors,
-        tracker=tracker(tracking, body, cameras),
+        tracker=registry.build(
+            Tracker, profile.tracking, settings.get("tracking", {}), body=body, cameras=cameras
+        ),
         triangulator=registry.build(
             Triangulator, profile.triangulator, settings.get("triangulator", {})
         ),

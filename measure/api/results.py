@@ -18,7 +18,13 @@ from measure.results.comparing import compare as compare_runs
 from measure.results.evaluation import pose_errors
 from measure.results.exports import export_run
 from measure.results.folder import own_files
-from measure.session import open_session, read_calibration, read_trajectory, session_truth
+from measure.session import (
+    open_session,
+    read_calibration,
+    read_robot_base,
+    read_trajectory,
+    session_truth,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -82,7 +88,6 @@ def report(
         body: which body, of a run of several; all if omitted.
         frame: by `register`: poses and errors are shown in the axes of the robot's base.
     """
-    from measure.learning.frames import read_frame
     from measure.viewing.report.run_report import run_report
 
     path = out or run_path / "report.html"
@@ -95,8 +100,7 @@ def report(
             errors.append(None if true is None else pose_errors(run, true))
         picture, axes = _picture(runs), "the cameras' world"
         if frame is not None:
-            known, axes = read_frame(frame), "the robot's base"
-            base_from_world = known.world_from_base.inverse()
+            base_from_world, axes = read_robot_base(frame).inverse(), "the robot's base"
             runs = [run.in_frame(base_from_world) for run in runs]
             errors = [
                 off if off is None else base_from_world.rotate(off.reshape(-1, 2, 3)).reshape(-1, 6)

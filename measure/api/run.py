@@ -11,7 +11,6 @@ from typing import Any, get_args
 
 from measure.api.measuring import measure_bodies
 from measure.api.playing import Reel
-from measure.api.profiles import find_tracker
 from measure.api.run_log import LogOptions, RunLog
 from measure.checking import ColorlessCount
 from measure.errors import ConfigError, MeasureError
@@ -186,10 +185,8 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
     settings = {}
     for stage in get_args(Stage):
         name = getattr(profile, stage)
-        if stage == "tracking":
-            config = find_tracker(name).Config
-        else:
-            config = registry.find(stage, name).plugin.Config
+        kind = "tracker" if stage == "tracking" else stage
+        config = registry.find(kind, name).plugin.Config
         values = read_settings(config, profile.settings.get(stage, {}), f"{stage} '{name}'")
         settings[stage] = values.model_dump(mode="json")
     return profile.model_dump(exclude={"settings"}) | {"settings": settings}

@@ -7,7 +7,6 @@ import errno
 import os
 import re
 import sys
-import tomllib
 from collections.abc import Sequence
 from importlib import metadata
 from io import TextIOWrapper
@@ -17,12 +16,9 @@ from typing import Annotated, Any
 from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter, UnknownCommandError
 
 from measure.errors import ConfigError, MeasureError
+from measure.neighbours import commands, lacking
 from measure.processes import Terminated, address_space_bytes, unwound_by_signals
 
-GROUPS: dict[str, dict[str, str]] = tomllib.loads(
-    Path(__file__).with_name("commands.toml").read_text("utf-8")
-)
-"""By group, commands as typed, each with its line in `measure --help`."""
 DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED, ENDED_BY = 0, 1, 2, 130, 141, 128
 """Exit codes. An exception we did not foresee is a defect: python prints it and exits with 1."""
 
@@ -153,11 +149,11 @@ def build_app() -> App:
         default_parameter=Parameter(negative=(), show_default=_worth_showing),
         suppress_keyboard_interrupt=False,
     )
-    for title, commands in GROUPS.items():
-        group = Group.create_ordered(title)
-        for place, (name, summary) in enumerate(commands.items()):
-            spec = f"measure.cli.{name}:{name}"
-            app.command(spec, name=name, help=summary, group=group, sort_key=place)
+    groups: dict[str, Group] = {}
+    for place, (name, command) in enumerate(commands().items()):
+        group = groups.setdefault(command.group, Group.create_ordered(command.group))
+        if command.line:
+            app.command(command.target, name=name, help=command.line, group=group, sort_key=place)
     app["--help"].group = app["--version"].group = Group.create_ordered("Options")
     app.register_install_completion_command(
         group=app["--help"].group, help="Complete words by Tab in your shell from now on."
@@ -214,9 +210,10 @@ def _explain(error: CycloptsError, tokens: Sequence[str]) -> str:
     chain = " ".join(error.command_chain or ())
     if isinstance(error, UnknownCommandError) and not chain:
         # Not str(error): it imports every command to list them.
-        known = [name for commands in GROUPS.values() for name in commands]
-        known += ["--disable", "--help", "--version"]
+        known = [*commands(), "--disable", "--help", "--version"]
         unknown = (error.unused_tokens or list(tokens))[0]
+        if unknown in commands():
+            return str(lacking(f"`measure {unknown}`", commands()[unknown].package))
         near = difflib.get_close_matches(unknown, known, n=3)
         hint = f" Did you mean {' or '.join(near)}?" if near else ""
         what = "option" if unknown.startswith("-") else "command"

@@ -13,8 +13,8 @@ from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
-from measure.cli.studio import check_studio, show_page
-from measure.learning import EstimatorEvaluation
+from measure.neighbours import load_command
+from measure.processes import needed
 
 
 def demo(
@@ -56,7 +56,9 @@ def demo(
     with console.progress("rendering and measuring", "steps") as report:
         made = api.demo(out, chosen, registry, frames, report, overwrite)
     if json:
-        console.print_json(dataclasses.asdict(made) | {"profile": chosen.name})
+        values = dataclasses.asdict(made) | {"profile": chosen.name}
+        added = {name: one["values"] for name, one in values.pop("additions").items()}
+        console.print_json(values | added)
         return
     console.print_text(made.summary.sentence())
     found = made.evaluation
@@ -68,7 +70,9 @@ def demo(
         ]
     console.print_text(f"{found.compared} of {found.frame_sets} poses against the exact truth")
     console.print_table(("error", "RMS", "largest"), rows)
-    _print_correction(made.correction)
+    for addition in made.additions.values():
+        console.print_text(addition.sentence)
+        console.print_table(addition.columns, addition.rows)
     console.print_text(f"session  {made.session}")
     console.print_text(f"run      {made.run}  (poses.csv opens in any spreadsheet)")
     console.print_text(f"picture  {made.picture}")
@@ -76,29 +80,14 @@ def demo(
     console.print_text(f"every error in detail: measure evaluate {made.run}")
 
 
-def _print_correction(found: EstimatorEvaluation) -> None:
-    """Print the accuracy of the shipped network on a simulated robot."""
-    console.print_text(
-        "a simulated cable-driven robot, freshly switched on: where it believes its tip to be, and "
-        "corrected by the shipped network, against the exact truth"
-    )
-    rows = [
-        (f"{name} position, mm", score.rms_mm, score.p95_mm)
-        for name, score in (("reported", found.before), ("corrected", found.after))
-    ]
-    console.print_table(("error", "RMS", "95 % below"), rows)
-
-
 def _set_up(out: Path, board: str, page: tuple[int, bool], registry: api.Registry) -> None:
     """Serve rendered cameras, and the set-up page on a new folder."""
-    check_studio()
-    from measure.studio import serve
-
+    studio = load_command("studio")
+    needed("nicegui", "studio", "the page")
     port, browser = page
     with ExitStack() as stack:
         with console.progress("rendering, the first time only", "pictures") as report:
             desk, addresses = stack.enter_context(api.demo_cameras(out, board, report))
         console.note(f"{desk}: choose the board {board} in step Calibration; Ctrl-C ends it")
-        cameras = tuple(f"{name}={address}" for name, address in addresses.items())
-        at = ("127.0.0.1", port)
-        serve(desk, registry, cameras, at=at, tell=lambda address: show_page(address, browser))
+        cameras = [f"{name}={address}" for name, address in addresses.items()]
+        studio(desk, *cameras, port=port, browser=browser, registry=registry)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from measure.cli import console
 from measure.errors import ConfigError, RunError
+from measure.neighbours import VIEWS, offer
 
 
 def view(
@@ -40,10 +41,8 @@ def view(
         raise ConfigError("say with --robot what the robot's states are, such as --robot raven")
     recordings = [recording_of(run)]
     if robot is not None:
-        from measure import api
-
-        made = api.robot_recording(run, robot, robot_log, model, frame, clock_offset_s)
-        recordings.append(made)
+        write = offer(VIEWS, "robot", "`--robot`", "measure_learning")
+        recordings.append(write(run, robot, robot_log, model, frame, clock_offset_s))
     viewer = open_viewer(recordings, web, bind)
     if viewer.address is not None:
         console.print_text(viewer.address)

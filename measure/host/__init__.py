@@ -1,4 +1,4 @@
-"""All a plugin author needs to read: interfaces, the five hooks, and how plugins are found."""
+"""All a plugin author needs to read: interfaces, the hooks, and how plugins are found."""
 
 from measure.host.dataset import Dataset
 from measure.host.estimator import Correction, Epoch, Estimator, LeftOut, Report
@@ -18,13 +18,14 @@ from measure.host.onnx_model import Estimates, OnnxModel
 from measure.host.registry import Broken, Distribution, Loaded, Registry, discover
 from measure.host.settings import Setting, Settings, describe_settings, setting
 from measure.host.sink import EventMark, SentPose, SentRun, Sink, host_port
+from measure.host.tracker import Conclusion, Review, Tracker
 from measure.processes import needed
 
 __all__ = [
-    "ENTRY_POINT_GROUP", "Broken", "Core", "Correction", "Dataset", "Detector", "Distribution",
-    "Epoch", "Estimates", "Estimator", "EventMark", "Graph", "LeftOut", "Loaded", "OnnxEstimator",
-    "OnnxModel", "Plugin", "PoseSolver", "Registry", "Report", "Scaling",
-    "SelfCalibratingDetector", "SentPose", "SentRun", "Setting", "Settings", "Sink",
-    "Triangulator", "Value", "describe_settings", "discover", "hookimpl", "host_port",
+    "ENTRY_POINT_GROUP", "Broken", "Conclusion", "Core", "Correction", "Dataset", "Detector",
+    "Distribution", "Epoch", "Estimates", "Estimator", "EventMark", "Graph", "LeftOut", "Loaded",
+    "OnnxEstimator", "OnnxModel", "Plugin", "PoseSolver", "Registry", "Report", "Review",
+    "Scaling", "SelfCalibratingDetector", "SentPose", "SentRun", "Setting", "Settings", "Sink",
+    "Tracker", "Triangulator", "Value", "describe_settings", "discover", "hookimpl", "host_port",
     "needed", "plain_name", "plain_names", "seal", "setting",
 ]  # fmt: skip

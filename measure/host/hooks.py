@@ -1,4 +1,4 @@
-"""The five hooks. A hook only registers: it returns classes and runs nothing."""
+"""The hooks. A hook only registers: it returns classes and runs nothing."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pluggy
 from measure.host.estimator import Estimator
 from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
 from measure.host.sink import Sink
+from measure.host.tracker import Tracker
 
 ENTRY_POINT_GROUP = "measure"
 """The group of entry points in which plugins are found."""
@@ -34,6 +35,11 @@ def measure_pose_solvers() -> list[type[PoseSolver]]:  # type: ignore[empty-body
 
 
 @hookspec
+def measure_trackers() -> list[type[Tracker]]:  # type: ignore[empty-body]
+    """Return tracker classes."""
+
+
+@hookspec
 def measure_estimators() -> list[type[Estimator]]:  # type: ignore[empty-body]
     """Return estimator classes."""
 
@@ -56,6 +62,7 @@ KINDS = (
     PluginKind("detector", "measure_detectors", Detector),
     PluginKind("triangulator", "measure_triangulators", Triangulator),
     PluginKind("solver", "measure_pose_solvers", PoseSolver),
+    PluginKind("tracker", "measure_trackers", Tracker),
     PluginKind("estimator", "measure_estimators", Estimator),
     PluginKind("sink", "measure_sinks", Sink),
 )

@@ -10,14 +10,13 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import MeasureError
-from measure.host import Detector, PoseSolver, Triangulator
+from measure.host import Detector, PoseSolver, Tracker, Triangulator
 from measure.measuring import plugin_calls
 from measure.measuring.body_scale import ScaleMonitor
 from measure.measuring.duplicate_images import DuplicateImages, NewImages
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_surrounding_poses
 from measure.measuring.time_alignment import FrameSetObservations
-from measure.measuring.tracking import Tracker
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, FrameSet, Motion, Pose
 from measure.processes import usable_cores
 

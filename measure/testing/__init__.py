@@ -9,7 +9,6 @@ Built-in plugins pass the same classes. `docs/writing_a_plugin.md` walks through
 """
 
 from measure.testing.detector import DetectorConformance
-from measure.testing.estimator import EstimatorConformance
 from measure.testing.pose_solver import PoseSolverConformance
 from measure.testing.rules import PluginConformance
 from measure.testing.scenes import Example, example
@@ -17,6 +16,6 @@ from measure.testing.sink import SinkConformance
 from measure.testing.triangulator import TriangulatorConformance
 
 __all__ = [
-    "DetectorConformance", "EstimatorConformance", "Example", "PluginConformance",
+    "DetectorConformance", "Example", "PluginConformance",
     "PoseSolverConformance", "SinkConformance", "TriangulatorConformance", "example",
 ]  # fmt: skip

@@ -20,9 +20,11 @@ from measure.capture import check_names
 from measure.cli import main
 from measure.errors import MeasureError
 from measure.host import Registry
-from measure.learning import AssemblySettings
 from measure.model import Image
 from measure.session import check_name, files, open_session, read_body, read_calibration
+from measure_lab import api as lab
+from measure_learning import api as learning_api
+from measure_learning.core import AssemblySettings
 from tests.session.conftest import SIZE_WH, Recording, jpeg, write_recording
 
 
@@ -198,7 +200,7 @@ def _profiled(call: Callable[..., Any], *given: Any) -> Any:
 WRITES: dict[str, Callable[[Place], Any]] = {
     "Marking": _marking,
     "Preview": _preview,
-    "accept": lambda p: api.accept(p.run, p.session / "cam1.csv", p.out / "page.html"),
+    "accept": lambda p: lab.accept(p.run, p.session / "cam1.csv", p.out / "page.html"),
     "begin_marks": lambda p: api.begin_marks(p.out / "marks", p.session, p.calibration),
     "calibrate_to": lambda p: api.calibrate_to(p.out / "c.toml", p.capture),
     "capture_board": lambda p: api.capture_board(
@@ -209,22 +211,24 @@ WRITES: dict[str, Callable[[Place], Any]] = {
     "export": lambda p: [api.export(p.run, kind, p.out / f"e.{kind}") for kind in ("csv", "trc")],
     "find_body": lambda p: api.find_body(p.session, Registry.discover(), 20.0),
     "live": _live,
-    "make_dataset": lambda p: api.make_dataset(
+    "make_dataset": lambda p: learning_api.make_dataset(
         [p.run], [p.session / "cam1.csv"], "raven2", p.out / "d.parquet", AssemblySettings()
     ),
     "mark_event": lambda p: api.mark_event(p.run, p.name),
-    "pivot": lambda p: api.pivot(p.run),
+    "pivot": lambda p: lab.pivot(p.run),
     "record": _record,
     "refine": lambda p: api.refine(p.session, Registry.discover()),
     "report": lambda p: api.report(p.run, p.out / "report.html"),
-    "robot_recording": lambda p: api.robot_recording(p.run, "raven2", p.session / "cam1.csv"),
+    "robot_recording": lambda p: learning_api.robot_recording(
+        p.run, "raven2", p.session / "cam1.csv"
+    ),
     "run": lambda p: _profiled(api.run, p.session, p.out / "run"),
     "run_many": lambda p: _profiled(api.run_many, [p.session], p.out / "many"),
     "sync": lambda p: api.sync(
         p.session, Registry.discover(), api.load_profile("paper"), p.out / "s.toml"
     ),
-    "world": lambda p: api.world(p.calibration, p.run),
-    "world_by_board": lambda p: api.world_by_board(p.calibration, "charuco_8x5_27", p.capture),
+    "world": lambda p: lab.world(p.calibration, p.run),
+    "world_by_board": lambda p: lab.world_by_board(p.calibration, "charuco_8x5_27", p.capture),
     "write_body": lambda p: api.write_body(p.out / "b.toml", read_body(p.body)),
     "write_calibration": lambda p: api.write_calibration(
         p.out / "c.toml", read_calibration(p.calibration)

@@ -19,9 +19,9 @@ import pytest
 from cyclopts import App
 
 from measure.cli import build_app, console, main
-from measure.cli.app import GROUPS
 from measure.cli.live import _StateLines
 from measure.errors import SessionError
+from measure.neighbours import commands, load_command
 from tests.measurements import measurement
 
 
@@ -335,12 +335,11 @@ def test_a_name_that_is_no_text_is_a_mistake(monkeypatch, tmp_path, capsys):
     assert r"s\udcff: a name that is not in UTF-8 cannot be" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", [c for commands in GROUPS.values() for c in commands.items()])
+@pytest.mark.parametrize("command", commands().values(), ids=lambda one: one.name)
 def test_a_command_says_of_itself_what_the_table_says(command):
-    name, summary = command
-    target = getattr(importlib.import_module(f"measure.cli.{name}"), name)
+    target = load_command(command.name)
     own = target.help if isinstance(target, App) else target.__doc__
-    assert own.partition("\n")[0] == summary
+    assert own.partition("\n")[0] == command.line
 
 
 @pytest.mark.parametrize("asked", [None, "3"])
@@ -372,7 +371,7 @@ def test_what_few_need_stands_in_no_help(words, capsys):
 def test_help_lists_commands_in_the_order_of_their_use(capsys):
     assert main(["--help"]) == 0
     listed = re.findall(r"^│ (\w+) {2,}", capsys.readouterr().out, re.M)
-    assert listed == [name for commands in GROUPS.values() for name in commands]
+    assert listed == list(commands())
     assert listed[:2] == ["demo", "studio"]
 
 
@@ -381,7 +380,7 @@ def test_completion_is_installed_where_the_shell_looks(tmp_path, monkeypatch, ca
     assert main(["--install-completion", "--shell", "bash"]) == 0
     script = (tmp_path / ".local/share/bash-completion/completions/measure").read_text()
     assert "--clock-samples" in script
-    assert all(name in script for commands in GROUPS.values() for name in commands)
+    assert all(name in script for name in commands())
 
 
 def test_a_live_line_says_how_many_cameras_are_there(monkeypatch, capsys):

@@ -77,7 +77,7 @@ def test_stages_that_fail_at_once_cost_no_run(
     """Neither an earlier one, nor the next one a word more."""
     run = recording.path.with_name("run")
     with monkeypatch.context() as patched:
-        patched.setattr("measure_plugins.detectors.hough.HoughDetector.detect", lambda *_: 1 / 0)
+        patched.setattr("measure_paper.hough.HoughDetector.detect", lambda *_: 1 / 0)
         said = complaint(capsys, *run_words(recording))
         assert "detector 'hough' of triball" in said
         assert "fails (camera" in said
@@ -86,7 +86,7 @@ def test_stages_that_fail_at_once_cost_no_run(
     before = (run / "poses.parquet").read_bytes()
     capsys.readouterr()
     with monkeypatch.context() as patched:
-        patched.setattr("measure_plugins.detectors.hough.HoughDetector.detect", lambda *_: 1 / 0)
+        patched.setattr("measure_paper.hough.HoughDetector.detect", lambda *_: 1 / 0)
         complaint(capsys, *run_words(recording, "--overwrite"))
     assert (run / "poses.parquet").read_bytes() == before
 

@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 
 from measure.cli import main
-from measure.cli.app import GROUPS
+from measure.neighbours import commands
 from tests.docs.pages import PAGES, ROOT, Block, blocks, name_of
 
 LANGUAGES = {"bash", "toml", "python", "pycon", "text", "cpp", "cmake"}
 DEMO = "measure demo --out triball-demo"
 ELSEWHERE = ("demo-command", "test-command")
 """Blocks with these marks are whole installations: `.ci/run` runs them."""
-COMMANDS = {name for commands in GROUPS.values() for name in commands}
+COMMANDS = set(commands())
 
 pytestmark = pytest.mark.timeout(900)
 """The first page's commands compile everything on a machine that has just been set up."""

@@ -15,7 +15,6 @@ import pytest
 
 import measure
 from measure.host import Registry, SelfCalibratingDetector, describe_settings, hooks
-from measure.measuring.tracking import TRACKERS
 from measure.results.tables import CSV_COLUMNS, SCHEMAS
 from tests.docs.pages import ROOT
 
@@ -80,7 +79,6 @@ def test_types_in_signatures_are_described_too(generator: ModuleType):
 def test_every_built_in_setting_has_a_description(generator: ModuleType):
     own = [p for p in Registry.discover().loaded if p.distribution.name == "triball"]
     described = {p.name: describe_settings(p.plugin.Config) for p in own}
-    described |= {name: describe_settings(t.Config) for name, t in TRACKERS.items()}
     bare = [f"{name}.{s.name}" for name, found in described.items() for s in found
             if not s.description]  # fmt: skip
     assert sum(map(len, described.values())) > 40

@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.online import time_round_trips
-from measure.api import shipped_model
 from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
-from measure.learning import AnswerPacket, EstimateClient, EstimateServer, StatePacket
-from measure.robots.simulator import simulate
+from measure_learning.api import shipped_model
+from measure_learning.core import AnswerPacket, EstimateClient, EstimateServer, StatePacket
+from measure_learning.simulator import simulate
 
 FOREIGN_PORTS = range(50_000, 50_020)
 FLOOD_HZ = 40_000

@@ -16,18 +16,19 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv, ipc, parquet
 
-from measure.api import shipped_model
 from measure.cli import main
 from measure.host import Estimator, Registry
 from measure.host.estimator import quiet
-from measure.learning import files, split_by_trajectory
-from measure.robots import RobotLog, raven_schema, write_log
-from measure.robots.bags import DEFINITION, MESSAGE
-from measure.robots.raven import FIELDS
-from measure.robots.simulator import simulate
+from measure.robots import RobotLog
 from measure.session import read_calibration, write_calibration
 from measure.simulation import write_session
-from measure_plugins.estimators import _checkpoint
+from measure_learning.api import shipped_model
+from measure_learning.core import files, split_by_trajectory
+from measure_learning.estimators import _checkpoint
+from measure_learning.robots import raven_schema, write_log
+from measure_learning.robots.bags import DEFINITION, MESSAGE
+from measure_learning.robots.raven import FIELDS
+from measure_learning.simulator import simulate
 from tests.faults import mutating
 from tests.faults.mutating import BINARY, TEXT, Mutation
 from tests.results.conftest import CAMERAS, PERIOD_S, measurement, open_writer, write_truth

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from measure.api import shipped_model
 from measure.errors import EstimatorError
 from measure.host import OnnxModel
 from measure.host.onnx_graph import seal
 from measure.host.onnx_model import read_metadata
+from measure_learning.api import shipped_model
 
 FACTS = OnnxModel.load(shipped_model()).facts
 

@@ -6,9 +6,16 @@ import pytest
 
 from measure.cli import main
 from measure.host import Dataset
-from measure.learning import AssemblySettings, Split, files, simulated_dataset, split_by_trajectory
-from measure.robots import RobotLog, raven_schema, write_log
-from measure.robots.simulator import simulate
+from measure.robots import RobotLog
+from measure_learning.core import (
+    AssemblySettings,
+    Split,
+    files,
+    simulated_dataset,
+    split_by_trajectory,
+)
+from measure_learning.robots import raven_schema, write_log
+from measure_learning.simulator import simulate
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import any_robot
 from measure.cli import main
-from measure.robots import find_schema
+from measure_learning.robots import find_schema
 
 TRAIN = "train first.parquet --out model.onnx"
 LOG = "--robot-log first/robot.csv --robot ur5e"

@@ -14,10 +14,11 @@ from measure.arrays import Floats
 from measure.cli import main
 from measure.errors import EstimatorError
 from measure.host.dataset import recording_of
-from measure.learning import AssemblySettings, PoseTrack, assemble, estimate_offset, files
-from measure.learning.simulated import recording
-from measure.robots import RobotLog, write_log
-from measure.robots.simulator import Cables, simulate
+from measure.robots import RobotLog
+from measure_learning.core import AssemblySettings, PoseTrack, assemble, estimate_offset, files
+from measure_learning.core.simulated import recording
+from measure_learning.robots import write_log
+from measure_learning.simulator import Cables, simulate
 
 
 @pytest.fixture(scope="module")

@@ -44,7 +44,7 @@ def test_pictures_to_correction(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def _rms(session: Path, out: Path) -> tuple[float, float]:
     """RMS of reported and corrected positions against the truth of a session, in mm."""
-    from measure.robots import raven_schema, read_log
+    from measure_learning.robots import raven_schema, read_log
 
     log = read_log(session / "robot.parquet", raven_schema())
     truth = np.loadtxt(session / "truth.csv", delimiter=",", skiprows=1)[:, 1:4]

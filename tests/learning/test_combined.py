@@ -16,8 +16,8 @@ from measure.cli import main
 from measure.errors import EstimatorError, PluginError
 from measure.host import Dataset, Estimator, OnnxEstimator, OnnxModel, Registry
 from measure.host.estimator import quiet
-from measure.learning import EstimateServer, StatePacket, TruePacket, evaluate, files, join
-from measure.learning.datagrams import AnswerPacket
+from measure_learning.core import EstimateServer, StatePacket, TruePacket, evaluate, files, join
+from measure_learning.core.datagrams import AnswerPacket
 from tests.strangers import Install
 
 FEW = {"play_widths": 2}

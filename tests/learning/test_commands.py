@@ -12,7 +12,7 @@ import pytest
 from measure.cli import main
 from measure.host import Dataset
 from measure.host.onnx_model import OnnxModel
-from measure.learning import files
+from measure_learning.core import files
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
@@ -114,8 +114,8 @@ def test_mistakes_are_explained(
 
 
 def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
-    from measure import api
     from measure.host import Registry
+    from measure_learning import api
 
     options = api.TrainOptions("mlp", resume=True)
     settings = {"layers": [30], "epochs": 30, "batch": 64}
@@ -129,7 +129,7 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
             raise Killed
 
     with pytest.MonkeyPatch.context() as patch:
-        from measure_plugins.estimators import _checkpoint
+        from measure_learning.estimators import _checkpoint
 
         patch.setattr(_checkpoint, "EVERY_S", 0.0)
         with pytest.raises(Killed):
@@ -174,8 +174,9 @@ def test_inputs_are_ranked_on_the_models_own_test_part(
 
 def _written(small: Dataset, folder: Path) -> dict[str, str]:
     """Files that fit each other, and some that do not, by name."""
-    from measure.robots import RobotLog, read_log, write_log
-    from measure.robots.simulator import simulate
+    from measure.robots import RobotLog
+    from measure_learning.robots import read_log, write_log
+    from measure_learning.simulator import simulate
 
     run = simulate(12.0, 5, log_hz=50.0)
     names = ("log.csv", "lacking.csv", "poses.csv", "metres.csv", "good.onnx", "other.onnx")

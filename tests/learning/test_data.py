@@ -10,8 +10,8 @@ import pytest
 
 from measure.errors import EstimatorError
 from measure.host import Dataset
-from measure.learning import files, join, same_robot, split_by_trajectory
-from measure.robots import find_schema
+from measure_learning.core import files, join, same_robot, split_by_trajectory
+from measure_learning.robots import find_schema
 
 
 def test_a_data_set_is_written_and_read(small: Dataset, tmp_path: Path) -> None:

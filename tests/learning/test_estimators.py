@@ -12,8 +12,8 @@ import pytest
 from measure.errors import DivergedError, EstimatorError
 from measure.host import Estimator, OnnxModel, Registry
 from measure.host.estimator import quiet
-from measure.learning import Score, Split, evaluate
 from measure.robots import Reading, StateSchema
+from measure_learning.core import Score, Split, evaluate
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 

@@ -12,16 +12,16 @@ from measure.cli import main
 from measure.errors import EstimatorError, FitError
 from measure.host import Estimator, Registry
 from measure.host.estimator import quiet
-from measure.learning import Split
-from measure.learning.fitting import fit
-from measure_plugins.estimators.offset import OffsetEstimator
+from measure_learning.core import Split
+from measure_learning.core.fitting import fit
+from measure_learning.estimators.offset import OffsetEstimator
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
 STRANGER = """
 import json
 from measure.host import OnnxEstimator, hookimpl
-from measure_plugins.estimators.offset import OffsetEstimator
+from measure_learning.estimators.offset import OffsetEstimator
 
 class Hasty(OffsetEstimator):
     "Reads a file that is not JSON."

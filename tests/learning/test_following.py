@@ -10,10 +10,10 @@ import pytest
 from measure.cli import main
 from measure.host import Correction, Estimator, OnnxModel, Registry
 from measure.host.estimator import quiet
-from measure.learning import EstimateServer, OffsetFollower, Refusal, Split, TruePacket
-from measure.learning.datagrams import AnswerPacket, StatePacket
-from measure.robots import find_schema
-from measure.robots.tables import Table
+from measure_learning.core import EstimateServer, OffsetFollower, Refusal, Split, TruePacket
+from measure_learning.core.datagrams import AnswerPacket, StatePacket
+from measure_learning.robots import find_schema
+from measure_learning.robots.tables import Table
 
 ME = ("127.0.0.1", 5)
 

@@ -10,9 +10,9 @@ import pytest
 from benchmarks.registration import recorded, schema, ur5e
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.learning import AssemblySettings, PoseTrack, assemble
-from measure.learning.labels import LabelFacts
 from measure.robots import RobotLog
+from measure_learning.core import AssemblySettings, PoseTrack, assemble
+from measure_learning.core.labels import LabelFacts
 
 SLIP = RigidTransform.from_rotvec(np.deg2rad([6.0, -8.0, 0.0]), [30.0, 30.0, 26.5])
 

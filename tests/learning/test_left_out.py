@@ -12,10 +12,10 @@ import pytest
 from measure.cli import main
 from measure.host import Dataset, Estimator, Registry
 from measure.host.estimator import quiet
-from measure.learning import evaluate, files, split_by_trajectory
-from measure.robots import find_schema
-from measure_plugins.estimators import _training_set
-from measure_plugins.estimators._training_set import OutputUnits, TrainingSet
+from measure_learning.core import evaluate, files, split_by_trajectory
+from measure_learning.estimators import _training_set
+from measure_learning.estimators._training_set import OutputUnits, TrainingSet
+from measure_learning.robots import find_schema
 
 pytest.importorskip("sklearn", reason="training needs the extra 'train'")
 

@@ -10,12 +10,12 @@ import pytest
 
 from measure.host import Dataset, Graph, OnnxModel
 from measure.host.estimator import quiet
-from measure.learning import Split
-from measure.robots import find_schema
-from measure_plugins.estimators import _nets, _training, mlp
-from measure_plugins.estimators._kinematics import TorchTip, tip_change
-from measure_plugins.estimators._play import PlayBank
-from measure_plugins.estimators.stream import StreamEstimator, StreamSettings
+from measure_learning.core import Split
+from measure_learning.estimators import _nets, _training, mlp
+from measure_learning.estimators._kinematics import TorchTip, tip_change
+from measure_learning.estimators._play import PlayBank
+from measure_learning.estimators.stream import StreamEstimator, StreamSettings
+from measure_learning.robots import find_schema
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 
@@ -127,7 +127,7 @@ def test_play_operators_in_the_graph(small: Dataset) -> None:
 
 def test_play_is_a_hysteresis_loop(small: Dataset) -> None:
     """Up and down again over more than the play leaves the two branches two widths apart."""
-    from measure_plugins.estimators._play_kernel import play
+    from measure_learning.estimators._play_kernel import play
 
     path = np.concatenate([np.linspace(0, 1, 50), np.linspace(1, -1, 100), np.linspace(-1, 0, 50)])
     inside = play(path[:, None], np.array([[0.2]]))[:, 0] * 0.2

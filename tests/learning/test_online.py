@@ -14,7 +14,7 @@ from benchmarks.online import time_round_trips
 from measure.errors import EstimatorError
 from measure.host import Correction, Estimator, OnnxModel, Registry
 from measure.host.estimator import quiet
-from measure.learning import (
+from measure_learning.core import (
     AnswerPacket,
     EstimateClient,
     EstimateServer,
@@ -25,9 +25,9 @@ from measure.learning import (
     correct_file,
     read_states,
 )
-from measure.learning.server import SILENT_S
-from measure.robots import tables
-from measure.robots.tables import Table
+from measure_learning.core.server import SILENT_S
+from measure_learning.robots import tables
+from measure_learning.robots.tables import Table
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 

@@ -14,7 +14,7 @@ import pytest
 from benchmarks.registration import recorded
 from measure.arrays import Floats
 from measure.cli import main
-from measure.robots import find_schema
+from measure_learning.robots import find_schema
 
 POSE = ["time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"]
 JOINTS = [f"actual_q_{k}" for k in range(6)]

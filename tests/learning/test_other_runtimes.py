@@ -17,8 +17,8 @@ import pytest
 
 from measure.host import Dataset, Estimator, OnnxModel, Registry
 from measure.host.estimator import quiet
-from measure.learning import EstimateServer
-from measure.robots import find_schema
+from measure_learning.core import EstimateServer
+from measure_learning.robots import find_schema
 
 onnx = pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 

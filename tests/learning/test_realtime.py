@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from benchmarks import online
-from measure import api
-from measure.learning import datagrams
-from measure.robots.simulator import simulate
+from measure_learning import api
+from measure_learning.core import datagrams
+from measure_learning.simulator import simulate
 
 
 def test_real_time_is_had_or_refused_in_one_line() -> None:
     """In a process of its own: what it asks for stays."""
-    words = "import os; from measure.learning.datagrams import claim_realtime as claim; "
+    words = "import os; from measure_learning.core.datagrams import claim_realtime as claim; "
     words += "print(claim()); print(os.sched_getscheduler(0) == os.SCHED_FIFO)"
     done = subprocess.run(
         [sys.executable, "-c", words], capture_output=True, text=True, check=True, timeout=120

@@ -12,7 +12,7 @@ import pytest
 
 from measure.cli import main
 from measure.host import Dataset
-from measure.learning import Refusal, files
+from measure_learning.core import Refusal, files
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 

@@ -14,7 +14,7 @@ import pytest
 from measure.arrays import Floats
 from measure.cli import main
 from measure.host import Correction, Dataset
-from measure.learning import AnswerPacket, EstimateClient, Refusal, StatePacket
+from measure_learning.core import AnswerPacket, EstimateClient, Refusal, StatePacket
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 

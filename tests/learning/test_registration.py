@@ -13,13 +13,13 @@ from benchmarks.registration import SWING_DEG, Arm, recorded, robot_toml, ur5e
 from measure.cli import main
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, chi_square_quantile
-from measure.learning import assemble
-from measure.learning.frames import RobotFrame, read_frame
-from measure.learning.registration import Recording, RegisterOptions, register
-from measure.learning.simulated import recording
 from measure.metrology.poses import SharedErrors
-from measure.robots import write_log
-from measure.robots.simulator import simulate
+from measure_learning.core import assemble
+from measure_learning.core.frames import RobotFrame, read_frame
+from measure_learning.core.registration import Recording, RegisterOptions, register
+from measure_learning.core.simulated import recording
+from measure_learning.robots import write_log
+from measure_learning.simulator import simulate
 from tests.metrology.recordings import write_run
 from tests.results.conftest import BODY, CAMERAS
 

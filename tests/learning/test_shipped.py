@@ -5,11 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure import api
 from measure.errors import EstimatorError
 from measure.host import Dataset, OnnxModel
-from measure.learning import PAPER_MINUTES, PAPER_PAIRS, Score, evaluate, rezero, simulated_dataset
-from measure.robots.simulator import Cables
+from measure_learning import api
+from measure_learning.core import (
+    PAPER_MINUTES,
+    PAPER_PAIRS,
+    Score,
+    evaluate,
+    rezero,
+    simulated_dataset,
+)
+from measure_learning.simulator import Cables
 
 
 def test_the_shipped_network_corrects_a_restart_it_has_not_seen() -> None:

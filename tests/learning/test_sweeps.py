@@ -16,8 +16,8 @@ import pytest
 from measure.cli import main
 from measure.errors import DivergedError, EstimatorError
 from measure.host import Dataset, Estimator, Registry
-from measure.learning import files
-from measure.learning.sweeping import read_space
+from measure_learning.core import files
+from measure_learning.core.sweeping import read_space
 from tests.dask_cluster import Cluster, wait_for
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -108,7 +108,7 @@ def test_a_sweep_whose_trials_all_fail_ends(
     def fails(*_: object) -> float:
         raise kind("the fit failed")
 
-    monkeypatch.setattr("measure.learning.sweeping.run_trial", fails)
+    monkeypatch.setattr("measure_learning.core.sweeping.run_trial", fails)
     assert main(words) == 2
     told = capsys.readouterr().err
     assert "2 trials failed and 0 finished; the last failure: the fit failed" in told

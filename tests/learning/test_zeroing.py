@@ -9,7 +9,7 @@ import pytest
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.learning import DriftMonitor, Split, fit_zeroing
+from measure_learning.core import DriftMonitor, Split, fit_zeroing
 
 
 def test_rezero_finds_joints_homed_otherwise(split: Split) -> None:

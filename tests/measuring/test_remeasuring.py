@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from measurements import BODY, CAMERAS, measurement
 
+from measure.host import Conclusion
+from measure.host.tracker import Memoryless
 from measure.measuring import Pipeline, Stages
-from measure.measuring.tracking import Conclusion
-from measure.measuring.tracking.tracker import Memoryless
 from measure.model import Detection, Expectation, FrameSet, Image, Pose
 
 

@@ -11,9 +11,9 @@ import pytest
 from measure.cli import main
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, chi_square_quantile
-from measure.metrology.lengths import find_spin_axis, find_tip
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.session import read_body
+from measure_lab.lengths import find_spin_axis, find_tip
 from tests.metrology.recordings import Errors, pivoting, poses_of, write_run
 from tests.results.conftest import BODY
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from measure import api
 from measure.cli import main
 from measure.errors import RunError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
@@ -18,6 +17,7 @@ from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import find_rests
 from measure.model import Detection
 from measure.results import RunWriter
+from measure_lab import api
 from tests.metrology.recordings import Errors, measured, poses_of, with_rests, write_run
 from tests.results.conftest import BODY, CAMERAS, made_from
 

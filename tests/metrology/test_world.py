@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from measure import api
 from measure.calibration import Charuco
 from measure.cli import main
 from measure.errors import CalibrationError, ConfigError, RunError
@@ -19,6 +18,7 @@ from measure.model import Detection
 from measure.results import read_run
 from measure.results.pose_table import poses_of as poses_in
 from measure.session import Calibration, read_calibration, write_calibration
+from measure_lab import api
 from tests.metrology.recordings import Errors, poses_of, with_rests, write_run
 from tests.results.conftest import BODY, CAMERAS
 

@@ -13,9 +13,9 @@ from benchmarks.registration import recorded, schema, ur5e
 from measure.errors import EstimatorError
 from measure.host import Dataset, OnnxModel
 from measure.host.estimator import quiet
-from measure.learning import assemble
 from measure.robots import RobotLog
-from measure_plugins.estimators.kinematic import KinematicEstimator, KinematicSettings
+from measure_learning.core import assemble
+from measure_learning.estimators.kinematic import KinematicEstimator, KinematicSettings
 
 
 @pytest.fixture(scope="module")

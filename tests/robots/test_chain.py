@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from measure.errors import DegenerateGeometryError
-from measure.robots import SerialChain, find_schema, raven_chain
-from measure.robots.raven import drives_from_motors, joints_from_drives, motors_from_drives
+from measure.robots import SerialChain
+from measure_learning.robots import find_schema, raven_chain
+from measure_learning.robots.raven import drives_from_motors, joints_from_drives, motors_from_drives
 
 CHAINS = {
     "left": raven_chain("left"),

@@ -10,7 +10,8 @@ import pytest
 
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.robots import SerialChain, StateSchema, find_schema, robot_names
+from measure.robots import SerialChain, StateSchema
+from measure_learning.robots import find_schema, robot_names
 
 QUARTER = np.pi / 2
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from measure.errors import EstimatorError
-from measure.learning.files import read_labelled
-from measure.robots import LogFile, RobotLog, find_schema, read_log, write_log
+from measure.robots import RobotLog
+from measure_learning.core.files import read_labelled
+from measure_learning.robots import LogFile, find_schema, read_log, write_log
 
 TIMES = 100.0 + np.arange(40) / 100
 WAVE = 0.3 * np.sin(np.arange(40)[:, None] / 7 + np.arange(7)) - 0.4

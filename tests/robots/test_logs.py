@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from measure.errors import EstimatorError
-from measure.robots import RobotLog, find_schema, raven_schema, read_log, write_log
-from measure.robots.simulator import simulate
+from measure.robots import RobotLog
+from measure_learning.robots import find_schema, raven_schema, read_log, write_log
+from measure_learning.simulator import simulate
 
 
 @pytest.fixture(scope="module")

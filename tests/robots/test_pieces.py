@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from measure.errors import EstimatorError
-from measure.robots import LogFile, RobotLog, find_schema, log_pieces, read_log, write_log
-from measure.robots import tables as module
-from measure.robots.tables import TableFile
+from measure.robots import RobotLog
+from measure_learning.robots import LogFile, find_schema, log_pieces, read_log, write_log
+from measure_learning.robots import tables as module
+from measure_learning.robots.tables import TableFile
 
 SCHEMA = find_schema("dvrk-psm")
 

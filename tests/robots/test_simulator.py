@@ -8,8 +8,8 @@ import pytest
 
 from measure.arrays import Floats
 from measure.errors import ConfigError
-from measure.robots import raven_schema
-from measure.robots.simulator import Cables, SimulatedRun, simulate
+from measure_learning.robots import raven_schema
+from measure_learning.simulator import Cables, SimulatedRun, simulate
 
 SCHEMA = raven_schema()
 

@@ -11,8 +11,8 @@ import pytest
 from pyarrow import parquet
 
 from measure.errors import EstimatorError
-from measure.robots import find_schema, read_log
-from measure.robots.tables import Table
+from measure_learning.robots import find_schema, read_log
+from measure_learning.robots.tables import Table
 
 
 def table(folder: Path, **columns: object) -> Table:

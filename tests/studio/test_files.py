@@ -17,9 +17,9 @@ import uvicorn
 from fastapi import FastAPI
 from starlette.responses import HTMLResponse
 
-from measure.studio.door import Door
-from measure.studio.server import add_files
 from measure.viewing.report.page import Page
+from measure_studio.door import Door
+from measure_studio.server import add_files
 from tests.chromium import Chromium, find_chromium
 
 ATTACK = """<html><body><p id="what">begun</p><script>

@@ -14,9 +14,9 @@ import uvicorn
 from fastapi import FastAPI
 
 from measure import api
-from measure.studio.bench import Bench
-from measure.studio.door import Door
-from measure.studio.server import add_viewer
+from measure_studio.bench import Bench
+from measure_studio.door import Door
+from measure_studio.server import add_viewer
 from tests.chromium import Chromium, find_chromium
 
 pytestmark = [

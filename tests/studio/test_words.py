@@ -9,8 +9,8 @@ import pytest
 
 from measure.api import CaptureRequest, Registry, board_length, write_measured_board
 from measure.errors import ConfigError
-from measure.studio.bench import Bench, Job
-from measure.studio.words import plain
+from measure_studio.bench import Bench, Job
+from measure_studio.words import plain
 
 FOLDER = Path("/home/somebody/my rig")
 

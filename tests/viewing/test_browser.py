@@ -86,7 +86,9 @@ def test_the_report_draws_every_figure_and_fetches_nothing(
 def test_a_figure_that_cannot_be_drawn_is_noticed(run: Path, page: Chromium, tmp_path: Path):
     """The checks above fail where they should; the page's own policy would stop such a page."""
     page_text = (run / "report.html").read_text("utf-8").replace("Plotly.newPlot(", "Plotly.none(")
-    page_text, policies = re.subn(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page_text)
+    page_text, policies = re.subn(
+        r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page_text
+    )
     assert policies == 1
     remote = '<img src="http://127.0.0.1:9/x.png">'
     (tmp_path / "bad.html").write_text(page_text.replace("<main>", f"<main>{remote}"), "utf-8")

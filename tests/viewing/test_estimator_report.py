@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.learning.scores import EstimatorEvaluation, Score
-from measure.viewing.report.estimator_report import judged_on, verdict
+from measure_learning.core.scores import EstimatorEvaluation, Score
+from measure_learning.report import judged_on, verdict
 
 
 def _score(rms_mm: float) -> Score:

@@ -19,7 +19,6 @@ from measure.api.results import report
 from measure.api.run import resolved
 from measure.geometry import RigidTransform
 from measure.host import Registry
-from measure.learning.frames import RobotFrame, write_frame
 from measure.measuring import Status
 from measure.results import Provenance, RunWriter, read_run
 from measure.results.accuracy import accuracy_map
@@ -29,6 +28,7 @@ from measure.viewing.report import figures
 from measure.viewing.report.page import Page
 from measure.viewing.report.run_report import run_report
 from measure.viewing.report.verdict import verdict
+from measure_learning.core.frames import RobotFrame, write_frame
 
 PROVENANCE = Provenance("/data/s", "a", "calibration.toml", "b", "c", {"name": "precise"}, {})
 

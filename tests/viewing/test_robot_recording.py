@@ -10,17 +10,17 @@ import pytest
 from measurements import BODY, CAMERAS, measurement
 from rerun.chunk import RrdReader
 
-from measure import api
-from measure.api.correcting import _nearest
 from measure.cli import main
 from measure.errors import ConfigError, EstimatorError
 from measure.geometry import RigidTransform
-from measure.learning.simulated import recording
 from measure.results import Provenance, RunWriter
-from measure.robots import write_log
-from measure.robots.simulator import simulate
 from measure.viewing import entities
-from measure.viewing.robot_recording import KINDS
+from measure_learning import api as learning_api
+from measure_learning.api.correcting import _nearest
+from measure_learning.core.simulated import recording
+from measure_learning.recording import KINDS
+from measure_learning.robots import write_log
+from measure_learning.simulator import simulate
 from tests.viewing.reading import column, read_recording
 
 SECONDS, FRAME_HZ, OFFSET_S = 20.0, 15.0, 1.5
@@ -60,8 +60,8 @@ def test_nearest_frame_set_to_a_state_is_found() -> None:
 
 @pytest.fixture(scope="module")
 def stored(folder: Path):
-    path = api.robot_recording(
-        folder / "run", "raven", folder / "robot.parquet", api.shipped_model()
+    path = learning_api.robot_recording(
+        folder / "run", "raven", folder / "robot.parquet", learning_api.shipped_model()
     )
     return read_recording(path)
 
@@ -100,7 +100,7 @@ def test_a_model_of_a_pair_corrects_as_well(folder: Path, tmp_path: Path):
     assert main(data) == 0
     assert main(["train", str(tmp_path / "d.parquet"), *pair]) == 0
     assert main(["estimate", str(model), "--input", str(log), "-o", str(out)]) == 0
-    path = api.robot_recording(folder / "run", "raven", log, model)
+    path = learning_api.robot_recording(folder / "run", "raven", log, model)
     drawn = column(read_recording(path)[entities.robot("corrected")], "Points3D:positions")
     places = np.array([p[0] for p in drawn.values() if p])
     every = np.loadtxt(out, delimiter=",", skiprows=1, usecols=(8, 9, 10))
@@ -127,21 +127,23 @@ def test_the_layout_is_the_estimators_own(stored, folder: Path):
 
 
 def test_without_a_model_nothing_is_corrected(folder: Path):
-    path = api.robot_recording(folder / "run", "raven", folder / "robot.parquet")
+    path = learning_api.robot_recording(folder / "run", "raven", folder / "robot.parquet")
     assert np.isnan(_trace(read_recording(path), entities.robot_error("corrected"))).all()
 
 
 def test_a_given_clock_offset_counts_and_the_shipped_model_has_a_name(folder: Path):
     log, model = folder / "robot.parquet", Path("shipped")
-    path = api.robot_recording(folder / "run", "raven", log, model, clock_offset_s=OFFSET_S)
+    path = learning_api.robot_recording(
+        folder / "run", "raven", log, model, clock_offset_s=OFFSET_S
+    )
     corrected = _trace(read_recording(path), entities.robot_error("corrected"))
     assert np.isfinite(corrected).mean() > 0.9
     with pytest.raises(EstimatorError, match=r"a clock that is -2\d\d\.\d ms off"):
-        api.robot_recording(folder / "run", "raven", log, clock_offset_s=OFFSET_S + 0.3)
+        learning_api.robot_recording(folder / "run", "raven", log, clock_offset_s=OFFSET_S + 0.3)
 
 
 def test_a_missing_log_is_said(folder: Path, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(ConfigError, match="names no robot log"):
-        api.robot_recording(folder / "run", "raven")
+        learning_api.robot_recording(folder / "run", "raven")
     assert main(["view", str(folder / "run"), "--model", "m.onnx"]) == 2
     assert "--robot raven" in capsys.readouterr().err

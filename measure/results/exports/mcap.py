@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from measure.host import plain_names
+from measure.host.ros_messages import METRES, POSE, RosMessages, header, letters, nanoseconds
 from measure.results.pose_table import Velocities
 from measure.results.run import Run
 from measure.results.tables import numbers, texts
-from measure.robots.ros_messages import METRES, POSE, RosMessages, header, letters, nanoseconds
 
 WORLD, BODY = "world", "body"
 BALL_TOPIC, TF_TOPIC = "/balls", "/tf"

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from measure.measuring.tracking.paper.circle_state import Circle, Evidence, advance, remember
 from measure.model import Detection
 from measure.model.observations import Reason, State
+from measure_paper.tracking.circle_state import Circle, Evidence, advance, remember
 
 GOOD = Evidence(found=True, consistent=True)
 UNKNOWN = Evidence(found=True)

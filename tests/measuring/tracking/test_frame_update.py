@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from measure.geometry import RigidTransform
-from measure.measuring.tracking import TRACKERS, FrameUpdate
+from measure.host import Registry
 from measure.model.observations import Reason
-from measure_plugins.pose_solvers.simplex import SimplexSettings, SimplexSolver
+from measure_paper.simplex import SimplexSettings, SimplexSolver
+from measure_paper.tracking import FrameUpdate
 from tests.frame_update_rig import (
     CAMERAS,
     STEP_S,
@@ -27,7 +28,7 @@ from tests.scenes import FOUR, RAVEN, moved, of_ball, ring, see
 
 
 def test_it_is_found_by_its_name():
-    assert TRACKERS["frame-update"] is FrameUpdate
+    assert Registry.discover().find("tracker", "frame-update").plugin is FrameUpdate
 
 
 def test_smooth_motion_keeps_every_circle_effective():

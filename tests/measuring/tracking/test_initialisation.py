@@ -8,14 +8,14 @@ import numpy as np
 from scenes import RAVEN, TARGET, a_pose, ring, see
 
 from measure.geometry import RigidTransform
-from measure.measuring.tracking.paper.ray_agreement import (
+from measure.model import Ball, Body
+from measure_paper.tracking.ray_agreement import (
     AgreementLimits,
     choose,
     disagreeing,
     locate,
     ray_observations,
 )
-from measure.model import Ball, Body
 
 CAMERAS = ring(4)
 LIMITS = AgreementLimits(3.0, 0.1)

@@ -14,7 +14,7 @@ from measure.host import Registry
 from measure.model import BallColor, Expectation, Image
 from measure.simulation import render
 from measure.simulation.catalogue import plain_scene
-from measure_plugins.detectors.hough import HoughDetector, HoughSettings
+from measure_paper.hough import HoughDetector, HoughSettings
 from tests.simulated.catalogue import four_ball_body
 from tests.simulated.degraded import with_balls
 from tests.simulated.mirroring import mirrored

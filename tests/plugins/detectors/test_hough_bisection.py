@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from measure_plugins.detectors._hough_steps import tune_blur, tune_threshold
+from measure_paper._hough_steps import tune_blur, tune_threshold
 
 
 class FakeHough:

@@ -10,7 +10,7 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.model import Ball, BallColor, Body, Camera, Expectation, Image, Intrinsics
-from measure_plugins.detectors.hough import HoughDetector, HoughSettings
+from measure_paper.hough import HoughDetector, HoughSettings
 
 OTHERS = (
     Ball("other 1", BallColor.named("blue"), np.array([0.0, 50.0, 0.0]), 20.0),

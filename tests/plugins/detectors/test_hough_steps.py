@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from measure_plugins.detectors import _hough_steps as steps
-from measure_plugins.detectors._hough_steps import cut, regions
+from measure_paper import _hough_steps as steps
+from measure_paper._hough_steps import cut, regions
 
 
 def disc(center, radius, inside=255, outside=0, size=(200, 200)):

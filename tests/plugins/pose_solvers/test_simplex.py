@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points, squared_mahalanobis
 from measure.model import BallPosition
-from measure_plugins.pose_solvers.simplex import SimplexSettings, SimplexSolver, initial_guess
-from measure_plugins.triangulators.midpoint import MidpointSettings, MidpointTriangulator
+from measure_paper.midpoint import MidpointSettings, MidpointTriangulator
+from measure_paper.simplex import SimplexSettings, SimplexSolver, initial_guess
 from tests.scenes import FOUR, RAVEN, a_pose, of_ball, ring, see
 
 CAMERAS = ring(4)

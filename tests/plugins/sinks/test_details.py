@@ -281,7 +281,7 @@ def test_foxglove_sends_every_message_at_once():
 
 
 def test_the_layout_for_foxglove_shows_what_is_sent():
-    text = (files("measure_plugins.sinks") / "foxglove_layout.json").read_text("utf-8")
+    text = (files("measure_sinks") / "foxglove_layout.json").read_text("utf-8")
     layout = json.loads(text)
     shown = re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))
     assert sorted(shown) == sorted(layout["configById"])

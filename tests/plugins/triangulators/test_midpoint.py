@@ -14,7 +14,7 @@ from measure.geometry import (
     usable_pairs,
 )
 from measure.geometry.rays import Rays
-from measure_plugins.triangulators.midpoint import MidpointSettings, MidpointTriangulator
+from measure_paper.midpoint import MidpointSettings, MidpointTriangulator
 from tests.scenes import RAVEN, TARGET, a_pose, look_at, moved, of_ball, ring, see
 
 MIDPOINT = MidpointTriangulator(MidpointSettings())

@@ -18,7 +18,7 @@ from measure import model
 from measure.arrays import Floats
 from measure.estimation.multiview import calibration_noise
 from measure.geometry import chi_square_quantile
-from measure.host.settings import Settings, setting
+from measure.host import Conclusion, Review, Settings, Tracker, setting
 from measure.measuring import association
 from measure.measuring.association import Association, associate, second_body
 from measure.measuring.tracking.predictive import pose_checks
@@ -28,7 +28,6 @@ from measure.measuring.tracking.predictive.identity import IdentityDoubt
 from measure.measuring.tracking.predictive.motion_filter import MotionState, initial_state, per_axis
 from measure.measuring.tracking.predictive.pose_checks import consistency_flags, single_view_balls
 from measure.measuring.tracking.predictive.search_windows import SearchWindows, predict_windows
-from measure.measuring.tracking.tracker import Conclusion, Review
 from measure.model import Rig
 from measure.model.observations import Reason, State
 
@@ -92,15 +91,17 @@ class PredictiveConfig(Settings):
     )
 
 
-class PredictiveTracker:
+class PredictiveTracker(Tracker):
     """Predicts windows, gates detections, flags poses, and searches again when lost."""
 
+    name = "predictive"
     Config: ClassVar[type[Settings]] = PredictiveConfig
+    config: PredictiveConfig
 
     def __init__(
         self, config: PredictiveConfig, body: model.Body, cameras: Sequence[model.Camera]
     ) -> None:
-        self.config = config
+        super().__init__(config, body, cameras)
         self._body = body
         self._cameras = tuple(cameras)
         self._keys = [(camera.name, ball) for camera in cameras for ball in body.names]

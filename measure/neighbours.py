@@ -1,0 +1,111 @@
+"""Packages that add commands, or something to the demonstration; none is imported to know them.
+
+A package declares itself in the entry-point group `measure.commands` and holds a `commands.toml`:
+by group of `measure --help`, its commands, each with its line there. The function, or cyclopts
+App, `NAME` of the command NAME stands in the package's module `cli.NAME`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module, metadata, util
+from pathlib import Path
+from typing import Any
+
+from measure.errors import ConfigError, PluginError
+
+COMMANDS, DEMO, VIEWS = "measure.commands", "measure.demo", "measure.views"
+"""Groups of entry points: packages with commands, functions that the demonstration calls, and
+functions that write further recordings of a run for the viewer."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of `measure`."""
+
+    name: str  # as typed
+    group: str  # its heading in `measure --help`
+    line: str  # what it does, in `measure --help`; empty where its package is not installed
+    package: str  # that holds it in `cli.NAME`
+
+    @property
+    def target(self) -> str:
+        """Where its function is, as `MODULE:NAME`."""
+        return f"{self.package}.cli.{self.name}:{self.name}"
+
+
+@cache
+def commands() -> dict[str, Command]:
+    """All commands by name, in the order of `measure --help`.
+
+    Our own table also holds the places of the commands of packages beside this one, with the
+    package's name, so that one that is missing can be named; others' come last in their group. Of
+    two packages with one command the first keeps it.
+    """
+    offered: dict[str, Command] = {}
+    for package in sorted({point.value.partition(":")[0] for point in _points(COMMANDS)}):
+        for command in _declared(package):
+            offered.setdefault(command.name, command)
+    placed = {}
+    for command in _declared("measure"):
+        known = offered.get(command.name) if command.package != "measure" else None
+        placed[command.name] = known or command
+    titles = list(dict.fromkeys(c.group for c in [*placed.values(), *offered.values()]))
+    everything = [*placed.values(), *(c for c in offered.values() if c.name not in placed)]
+    return {c.name: c for title in titles for c in everything if c.group == title}
+
+
+def _declared(package: str) -> Iterator[Command]:
+    """The commands of a package's table; PluginError: it has none, or that cannot be read."""
+    found = util.find_spec(package)
+    places = (found.submodule_search_locations if found else None) or ()
+    for place in places:
+        path = Path(place, "commands.toml")
+        try:
+            table = tomllib.loads(path.read_text("utf-8"))
+        except (OSError, tomllib.TOMLDecodeError) as problem:
+            raise PluginError(f"{path}: the commands of {package}: {problem}") from None
+        for group, lines in table.items():
+            for name, line in lines.items():
+                if isinstance(line, str):
+                    yield Command(name, group, line, package)
+                else:
+                    yield Command(name, group, "", line["from"])
+
+
+def load_command(name: str) -> Any:
+    """The function, or App, of a command; ConfigError: its package is not installed."""
+    command = commands()[name]
+    if not command.line:
+        raise lacking(f"`measure {name}`", command.package)
+    module, _, attribute = command.target.partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def offers(group: str) -> Iterator[tuple[str, Any]]:
+    """Name and object of each entry point of a group, imported now."""
+    for point in sorted(_points(group), key=lambda one: one.name):
+        yield point.name, point.load()
+
+
+def offer(group: str, name: str, what: str, package: str) -> Any:
+    """The object of one entry point; ConfigError: nobody offers it, and `package` brings it."""
+    for point in _points(group):
+        if point.name == name:
+            return point.load()
+    raise lacking(what, package)
+
+
+def lacking(what: str, package: str) -> ConfigError:
+    """What to say of a package beside this one that is not installed."""
+    return ConfigError(
+        f"{what} comes with the package {package}, which is not installed here: "
+        "pip install --force-reinstall triball"
+    )
+
+
+def _points(group: str) -> metadata.EntryPoints:
+    return metadata.entry_points(group=group)

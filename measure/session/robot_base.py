@@ -1,0 +1,33 @@
+"""Where a robot stands in the cameras' world: the `frame.toml` that `measure register` writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import ConfigDict, FiniteFloat
+
+from measure.errors import EstimatorError
+from measure.geometry import RigidTransform
+from measure.session.files import FileModel, Position, load_toml
+
+
+class StatedTransform(FileModel):
+    """A rigid transform as files state it."""
+
+    quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+    translation_mm: Position
+
+    def transform(self) -> RigidTransform:
+        """The transform."""
+        return RigidTransform.from_quat_wxyz(self.quat_wxyz, self.translation_mm)
+
+
+class _File(FileModel):
+    model_config = ConfigDict(extra="ignore")
+
+    world_from_base: StatedTransform
+
+
+def read_robot_base(path: Path) -> RigidTransform:
+    """`world_from_base` of a `frame.toml`; EstimatorError: missing or wrong, with the line."""
+    return load_toml(path, _File, EstimatorError).world_from_base.transform()

@@ -1,0 +1,1 @@
+"""Commands of the laboratory: rests, tips, worlds, known lengths."""

@@ -1,0 +1,60 @@
+"""`measure accept`: a run against known lengths."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from measure.cli import console
+from measure.cli.console import JsonFlag, OutFile, Overwrite
+from measure_lab import api
+
+
+def accept(
+    run: Path,
+    /,
+    *,
+    lengths: Path,
+    out: OutFile | None = None,
+    overwrite: Overwrite = False,
+    body: str | None = None,
+    json: JsonFlag = False,
+) -> int:
+    """Test a rig by known lengths: its errors against what it states.
+
+    The exit code is 3 where lengths contradict what the rig states of itself, 0 otherwise.
+
+    Args:
+        run: a run in which the body stood still at the ends of known lengths.
+        lengths: table from,to,length_mm between rests by their numbers (`measure rests`) or between
+            two balls by their names or two bodies by theirs (a ball bar); perhaps with sd_mm, how
+            exactly a length is known.
+        out: report to write, one HTML file.
+        body: which body, of a run of several.
+    """
+    found = api.accept(run, lengths, out, body, overwrite)
+    judged = found.judged
+    rows = [
+        (name, float(known), f"{error:+.3f}", f"{U:.3f}", f"{ratio:+.2f}")
+        for name, known, error, U, ratio in zip(
+            judged.names, judged.known_mm, judged.length_errors_mm, judged.expanded_mm,
+            judged.ratios, strict=True,
+        )
+    ]  # fmt: skip
+    code = console.UNBELIEVABLE if judged.contradictions else 0
+    if json:
+        keys = ("promise", "held", "figure")
+        promises = [dict(zip(keys, promise, strict=True)) for promise in found.promises]
+        wrong = {"contradictions": judged.contradictions, "passed": not judged.contradictions}
+        known = {**vars(judged), "worst": judged.names[judged.worst], **wrong}
+        console.print_json({"run": str(run), **known, "promises": promises})
+        return code
+    heads = ("from - to", "length_mm", "error_mm", "U_mm (k=2)", "error/U")
+    console.print_table(heads, rows)
+    console.print_text(judged.sentence)
+    told = [(("held" if held else "NOT held"), what, how) for what, held, how in found.promises]
+    console.print_table(("", "promise", "here"), told)
+    for line in judged.contradictions:
+        console.print_text(f"wrong: {line}")
+    if out is not None:
+        console.print_text(f"wrote {out}")
+    return code

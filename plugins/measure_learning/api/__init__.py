@@ -1,0 +1,34 @@
+"""What a notebook calls to correct a robot, one function an action."""
+
+from measure_learning.api.correcting import (
+    correct_simulated_robot,
+    estimate_file,
+    estimate_online,
+    model_file,
+    rezero,
+    robot_recording,
+    shipped_model,
+)
+from measure_learning.api.pairing import (
+    RenderOptions,
+    SimulationOptions,
+    make_dataset,
+    register,
+    simulate_dataset,
+    simulate_recording,
+)
+from measure_learning.api.training import (
+    SweepOptions,
+    TrainOptions,
+    ablate,
+    parse_settings,
+    sweep,
+    train,
+)
+
+__all__ = [
+    "RenderOptions", "SimulationOptions", "SweepOptions", "TrainOptions", "ablate",
+    "correct_simulated_robot", "estimate_file", "estimate_online", "make_dataset", "model_file",
+    "parse_settings", "register", "rezero", "robot_recording", "shipped_model",
+    "simulate_dataset", "simulate_recording", "sweep", "train",
+]  # fmt: skip

@@ -1,0 +1,166 @@
+"""Correcting a robot's reported position: recorded states, online by UDP, and for the viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from measure.api.outputs import check_file
+from measure.arrays import Floats, Ints
+from measure.errors import ConfigError, EstimatorError
+from measure.host import OnnxModel
+from measure.results import Run, read_run
+from measure.session import open_session
+from measure_learning.api.pairing import read_tracks
+from measure_learning.robots import find_schema
+
+if TYPE_CHECKING:
+    from measure_learning.core import DriftMonitor, EstimateServer, EstimatorEvaluation, Zeroing
+
+
+def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:
+    """What a restart left, from a short measured data set, and what that says of drift."""
+    from measure_learning import core as learning
+
+    return learning.rezero(OnnxModel.load(model_path), learning.files.read_dataset(stretch))
+
+
+def estimate_file(
+    model_path: Path,
+    states: Path,
+    out: Path,
+    zeroing: Zeroing | None = None,
+    *,
+    true_positions: Path | None = None,
+    on_drift: Callable[[str], None] | None = None,
+) -> dict[str, int]:
+    """Correct recorded states of any number; `core.correct_file` says what is written.
+
+    Args:
+        out: `.parquet` or `.csv`.
+        true_positions: a table of measured tip positions (`core.files.read_poses`) on the clock
+            of the states: each corrects what follows it.
+        on_drift: gets a line that says whether they fit.
+
+    Returns:
+        How many were corrected, how many refused and why.
+    """
+    from measure_learning import core as learning
+
+    if out.suffix not in (".parquet", ".csv"):
+        raise EstimatorError(f"{out}: the name of a file of errors must end with .parquet or .csv")
+    model = OnnxModel.load(model_path)
+    true = None if true_positions is None else learning.files.read_poses(true_positions)
+    follower = None if true is None else learning.follower_of(model)
+    counts = learning.correct_file(states, model, out, zeroing, follower, true)
+    if follower is not None and on_drift is not None:
+        on_drift(follower.monitor.sentence())
+    return counts
+
+
+def estimate_online(
+    model_path: Path,
+    address: tuple[str, int],
+    *,
+    zeroing: Zeroing | None = None,
+    seconds: float | None = None,
+    realtime: bool = False,
+    on_start: Callable[[EstimateServer], None],
+    on_state: Callable[[EstimateServer], None],
+    on_refusal: Callable[[str], None],
+) -> EstimateServer:
+    """Answer states by UDP until the time is over or the process is interrupted."""
+    from measure_learning import core as learning
+    from measure_learning.core.datagrams import claim_realtime
+
+    if seconds is not None and not seconds >= 0:
+        raise ConfigError(f"--seconds {seconds:g}: expected a number that is not negative")
+    server = learning.EstimateServer(OnnxModel.load(model_path), address, zeroing)
+    if realtime and (refused := claim_realtime()):
+        on_refusal(refused)
+    on_start(server)
+    try:
+        server.serve(seconds, on_state)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.close()
+    return server
+
+
+def shipped_model() -> Path:
+    """The network that comes with this package, trained on the simulated RAVEN-II."""
+    return Path(__file__).parents[1] / "core" / "models" / "raven_simulated.onnx"
+
+
+def model_file(model: Path) -> Path:
+    """The file of a model; `shipped` stands for the one that comes along."""
+    return shipped_model() if str(model) == "shipped" else model
+
+
+def correct_simulated_robot(seconds: float = 60.0, seed: int = 7) -> EstimatorEvaluation:
+    """What the shipped network, trained on seed 1, does for a restart that it has not seen.
+
+    Judged by the true tip at the true time.
+    """
+    from measure_learning import core as learning
+
+    pairs = round(seconds * learning.PAPER_PAIRS / learning.PAPER_MINUTES / 60.0)
+    data, _ = learning.simulated_dataset(
+        minutes=seconds / 60.0, pairs=pairs, restarts=1, seed=seed, exact=True
+    )
+    return learning.evaluate(data, OnnxModel.load(shipped_model()).predict(data))
+
+
+def robot_recording(
+    run: Path,
+    robot: str,
+    log: Path | None = None,
+    model: Path | None = None,
+    frame: Path | None = None,
+    clock_offset_s: float | None = None,
+) -> Path:
+    """Write a robot's reported, measured and corrected positions into the run's `robot.rrd`.
+
+    Args:
+        robot: name of a state schema, or a robot.toml.
+        log: the robot's log; the session's own if omitted.
+        model: an estimator (.onnx), or `shipped`, that corrects the reported positions.
+        frame: where the robot is, by `register`; its base is the cameras' world if omitted.
+        clock_offset_s: robot minus camera time; estimated from the motion if absent.
+    """
+    from measure_learning.core.offline import robot_traces
+    from measure_learning.recording import write_robot_recording
+
+    path = run / "robot.rrd"
+    check_file(path, overwrite=True)  # made by this alone, and whenever it is looked at
+    measured = read_run(run)
+    log = log or _log_of(measured)
+    if log is None:
+        raise ConfigError(f"the session of {run} names no robot log: give it with --robot-log")
+    estimator = None if model is None else OnnxModel.load(model_file(model))
+    schema = find_schema(robot)
+    (track,) = read_tracks([run], frame, schema.robot)
+    traces = robot_traces(track, log, schema, estimator, clock_offset_s)
+    frames = measured.poses["index"].to_numpy()[_nearest(measured.times_s, traces.times_s)]
+    write_robot_recording(path, f"{run.resolve().name}: robot", frames, traces)
+    return path
+
+
+def _nearest(times_s: Floats, at_s: Floats) -> Ints:
+    """Which of increasing times (n,) is nearest to each of others (m,); the earlier of two."""
+    # Not by all differences: robots report a thousand states a second.
+    right = np.minimum(np.searchsorted(times_s, at_s), len(times_s) - 1)
+    left = np.maximum(right - 1, 0)
+    return np.where(at_s - times_s[left] <= times_s[right] - at_s, left, right)
+
+
+def _log_of(run: Run) -> Path | None:
+    """The robot log that a run's session names, if the session is still there."""
+    if run.session is None:
+        return None
+    with open_session(run.session) as opened:
+        return opened.robot_log

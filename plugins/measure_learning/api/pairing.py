@@ -1,0 +1,252 @@
+"""Data sets to learn from: poses and robot logs paired, or simulated; and robots registered."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from measure.errors import ConfigError, EstimatorError
+from measure.host import Dataset, Report
+from measure.processes import Progress
+from measure.robots import StateSchema
+from measure_learning.api.training import check_seeds
+from measure_learning.robots import LogFile, find_schema
+from measure_learning.simulator import Cables
+
+if TYPE_CHECKING:
+    from measure_learning.core import AssemblySettings, PoseTrack, TrajectoryFacts
+    from measure_learning.core.frames import RobotFrame
+    from measure_learning.core.registration import RegisterOptions
+
+_log = logging.getLogger(__name__)
+
+
+def make_dataset(
+    runs: Sequence[Path],
+    logs: Sequence[Path],
+    robot: str,
+    out: Path,
+    settings: AssemblySettings,
+    *,
+    topic: str | None = None,
+    frame: Path | None = None,
+    restarts: Sequence[str] = (),
+) -> tuple[Dataset, list[TrajectoryFacts]]:
+    """Pair runs with robot logs, or take tables that already hold labels, and write a data set.
+
+    Args:
+        runs: run folders, files of poses, or (without logs) tables of states and errors.
+        logs: robot logs, one for each run or one for all; none for labelled tables.
+        robot: name of a state schema, or a robot.toml.
+        out: the Parquet file; its data card goes beside it.
+        topic: of the state messages, if a log is a bag.
+        frame: where the robot is, by `register`; its base is the cameras' world if omitted.
+        restarts: names of restarts or days, one for all runs or one each: runs of one name count
+            as one recording where recordings are kept apart.
+    """
+    from measure_learning.core import assemble, files
+
+    _check_name(out)
+    schema = find_schema(robot)
+    facts: list[TrajectoryFacts] = []
+    if logs:
+        tracks = _of_restarts(read_tracks(runs, frame, schema.robot), restarts)
+        each = open_logs(runs, logs, schema, topic)
+        data, facts = assemble(list(zip(tracks, each, strict=True)), settings)
+    elif restarts:
+        raise ConfigError("--restart-name is of runs: tables of labels have a column `restart`")
+    else:
+        data = _labelled(runs, schema, settings.as_it_is)
+    files.write_dataset(out, data, facts, ", ".join(map(str, [*runs, *logs])))
+    return data, facts
+
+
+def read_tracks(runs: Sequence[Path], frame: Path | None, robot: str) -> list[PoseTrack]:
+    """Tracks of the reported point in the robot's base; of the body's origin without a frame."""
+    from measure_learning.core import files
+    from measure_learning.core.frames import read_frame
+
+    tracks = [files.read_poses(path) for path in runs]
+    if frame is None:
+        return tracks
+    known = read_frame(frame)
+    if known.robot != robot:
+        raise EstimatorError(f"{frame}: is the frame of robot '{known.robot}', not of '{robot}'")
+    return [known.to_base(track) for track in tracks]
+
+
+def _of_restarts(tracks: Sequence[PoseTrack], restarts: Sequence[str]) -> list[PoseTrack]:
+    """The tracks with their restarts' names before their own."""
+    if len(restarts) not in (0, 1, len(tracks)) or any("/" in n or not n for n in restarts):
+        raise ConfigError(
+            f"--restart-name {' '.join(restarts)}: expected one name without '/' for all "
+            f"{len(tracks)} runs, or one each"
+        )
+    each = restarts if len(restarts) == len(tracks) else [*restarts] * len(tracks)
+    if not each:
+        return list(tracks)
+    return [replace(t, name=f"{name}/{t.name}") for t, name in zip(tracks, each, strict=True)]
+
+
+def _check_name(out: Path) -> None:
+    if out.suffix != ".parquet":
+        raise EstimatorError(f"{out}: a data set's file name must end with .parquet")
+
+
+def open_logs(
+    runs: Sequence[Path], logs: Sequence[Path], schema: StateSchema, topic: str | None
+) -> list[LogFile]:
+    """A log for each run; EstimatorError unless there is one for all, or one each."""
+    from measure_learning.robots import LogFile
+
+    if len(logs) not in (1, len(runs)):
+        raise EstimatorError(
+            f"{len(runs)} runs and {len(logs)} robot logs: give one log for all, or one each"
+        )
+    read = [LogFile(path, schema, topic) for path in logs]
+    for path, log in zip(logs, read, strict=True):
+        if log.computed:
+            _log.warning("%s: the tip is computed from the joints, by %s", path, schema.robot)
+    return read * len(runs) if len(read) == 1 else read
+
+
+def _labelled(tables: Sequence[Path], schema: StateSchema, as_it_is: bool) -> Dataset:
+    import numpy as np
+
+    from measure_learning.core import files, join
+    from measure_learning.core.labels import check_labels, label_doubts
+
+    bare = [path for path in tables if path.is_dir() or not files.has_labels(path)]
+    if bare:
+        raise EstimatorError(
+            f"{bare[0]}: has no labels (run, ex, ey, ez) of its own: give the robot's log "
+            "with --robot-log"
+        )
+    data = join([files.read_labelled(path, schema) for path in tables])
+    for name, rows in data.runs():
+        used = np.flatnonzero(data.usable[rows]) + rows.start
+        doubts = label_doubts(schema, data.states[used], data.errors_mm[used], None)
+        check_labels(name, doubts, as_it_is=as_it_is)
+    return data
+
+
+@dataclass(frozen=True)
+class SimulationOptions:
+    """A data set of the simulated robot.
+
+    Attributes:
+        simulate_min: instead of runs, so many minutes of the simulated RAVEN-II.
+        pairs: simulated: pairs of state and pose; the paper's rate (353 a minute) if absent.
+        restarts: simulated: sessions, each after a restart.
+        seed: simulated: of motion, restarts and noise.
+        wear: simulated: slack and friction relative to new cables.
+        exact: simulated: labels of the true tip at the true time, to judge by.
+    """
+
+    simulate_min: float | None = None
+    pairs: int | None = None
+    restarts: int = 4
+    seed: int = 1
+    wear: float = 1.0
+    exact: bool = False
+
+
+def simulate_dataset(
+    out: Path, options: SimulationOptions, report: Report
+) -> tuple[Dataset, list[TrajectoryFacts]]:
+    """Write a data set of the simulated RAVEN-II to `out`.
+
+    Its labels are measured with noise on a clock that must be found, or exact. ConfigError: a
+    length, a count, a seed or a wear that makes no data; EstimatorError: no data set's name.
+    """
+    from measure_learning.core import PAPER_MINUTES, PAPER_PAIRS, files, simulated_dataset
+
+    _check_name(out)
+    o, minutes = options, options.simulate_min or 0.0
+    check_seeds(seed=o.seed)
+    rate = PAPER_PAIRS / PAPER_MINUTES
+    count = (o.pairs or round(rate * minutes)) if 0 < minutes < math.inf else 0
+    if not (count > 0 and o.restarts > 0):
+        raise ConfigError(
+            f"--simulate-min {minutes:g} --pairs {count} --restarts {o.restarts}: expected "
+            "positive numbers"
+        )
+    data, facts = simulated_dataset(
+        minutes=minutes, pairs=count, restarts=o.restarts, seed=o.seed, exact=o.exact,
+        cables=Cables(wear=o.wear), report=report,
+    )  # fmt: skip
+    source = f"simulated RAVEN-II, {minutes:g} min, {o.restarts} restarts, seed {o.seed}, "
+    source += f"wear {o.wear:g}{', true positions' if o.exact else ''}"
+    files.write_dataset(out, data, facts, source)
+    return data, facts
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """A recording of the simulated robot.
+
+    Attributes:
+        seconds: length of the recording.
+        frame_hz: frame sets per second.
+        seed: of motion, restart and pictures.
+        clock_offset_s: how far the robot's clock is ahead of the cameras'.
+        wear: slack and friction relative to new cables.
+    """
+
+    seconds: float = 60.0
+    frame_hz: float = 15.0
+    seed: int = 1
+    clock_offset_s: float = 1.5
+    wear: float = 1.0
+
+
+def simulate_recording(folder: Path, options: RenderOptions, progress: Progress) -> None:
+    """Render the simulated RAVEN-II with its balls into a session folder, with its log."""
+    from measure_learning.core.rendering import render_recording
+
+    seconds, frame_hz, offset_s = options.seconds, options.frame_hz, options.clock_offset_s
+    if not (0 < seconds < math.inf and 0 < frame_hz < math.inf and seconds * frame_hz >= 1):
+        raise ConfigError(
+            f"--seconds {seconds:g} --frame-hz {frame_hz:g}: expected two positive numbers that "
+            "make at least one frame set"
+        )
+    if not math.isfinite(offset_s):
+        raise ConfigError(f"--clock-offset-s {offset_s:g}: expected a number")
+    check_seeds(seed=options.seed)
+    render_recording(folder, progress=progress, **asdict(options))
+
+
+def register(
+    runs: Sequence[Path],
+    logs: Sequence[Path],
+    robot: str,
+    options: RegisterOptions,
+    *,
+    topic: str | None = None,
+) -> RobotFrame:
+    """Where a robot's base, the body on its tool and its clock are, from runs and logs.
+
+    Args:
+        runs: run folders, or tables of poses; the cameras and the body stayed where they were.
+        logs: robot logs, one for each run or one for all.
+        robot: name of a state schema, or a robot.toml.
+        topic: of the state messages, if a log is a bag.
+    """
+    from measure.results import read_run
+    from measure.results.pose_table import shared_errors
+    from measure_learning.core import files
+    from measure_learning.core.registration import Recording, register
+    from measure_learning.robots import find_schema
+
+    if not (runs and logs):
+        raise ConfigError("give runs of the moving robot, and its log with --robot-log")
+    tracks = [files.read_poses(run) for run in runs]
+    if len({track.name for track in tracks}) < len(tracks):
+        raise EstimatorError("two recordings have the same name: rename one")
+    shared = [shared_errors(read_run(run)) if run.is_dir() else None for run in runs]
+    opened = open_logs(runs, logs, find_schema(robot), topic)
+    return register(list(map(Recording, tracks, opened, shared)), options)

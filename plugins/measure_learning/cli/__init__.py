@@ -1,0 +1,1 @@
+"""Commands of robots: register, data sets, training, correction."""

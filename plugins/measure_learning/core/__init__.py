@@ -1,0 +1,38 @@
+"""From poses and robot states to an estimator of the position error, and its use online."""
+
+from measure_learning.core import files, sweeping
+from measure_learning.core.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble
+from measure_learning.core.clock import estimate_offset
+from measure_learning.core.datagrams import AnswerPacket, StatePacket, TruePacket
+from measure_learning.core.guard import Counters, GuardedModel, Refusal
+from measure_learning.core.offline import correct_file, follower_of, read_states, rezero
+from measure_learning.core.offsets import DriftMonitor, OffsetFollower, Zeroing, fit_zeroing
+from measure_learning.core.scores import (
+    EstimatorEvaluation,
+    Importance,
+    Score,
+    ablate,
+    evaluate,
+    field_groups,
+)
+from measure_learning.core.server import EstimateClient, EstimateServer
+from measure_learning.core.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
+from measure_learning.core.splits import (
+    Split,
+    join,
+    same_robot,
+    split_as_trained,
+    split_by_trajectory,
+)
+from measure_learning.core.sweeping import SweepState
+from measure_learning.core.training import Trained, train
+
+__all__ = [
+    "PAPER_MINUTES", "PAPER_PAIRS", "AnswerPacket", "AssemblySettings", "Counters", "DriftMonitor",
+    "EstimateClient", "EstimateServer", "EstimatorEvaluation", "GuardedModel", "Importance",
+    "OffsetFollower", "PoseTrack", "Refusal", "Score", "Split", "StatePacket", "SweepState",
+    "Trained", "TrajectoryFacts", "TruePacket", "Zeroing", "ablate", "assemble",
+    "correct_file", "estimate_offset", "evaluate", "field_groups", "files", "fit_zeroing",
+    "follower_of", "join", "read_states", "rezero", "same_robot", "simulated_dataset",
+    "split_as_trained", "split_by_trajectory", "sweeping", "train",
+]  # fmt: skip

@@ -1,0 +1,105 @@
+"""`frame.toml`: where a robot's base and its tool's body are, as `measure register` found them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import FiniteFloat
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+from measure.geometry import RigidTransform, propagate, skew
+from measure.session import FileModel, StatedTransform, dump_toml, load_toml
+from measure_learning.core.assemble import PoseTrack
+
+
+@dataclass(frozen=True, eq=False)
+class RobotFrame:
+    """A registered robot."""
+
+    robot: str
+    world_from_base: RigidTransform
+    flange_from_body: RigidTransform
+    clock_offsets_s: Mapping[str, float]  # robot minus camera time, of every recording
+    covariance: Floats  # (m, m) in the `perturb` charts of both, s, and mm and rad of links
+    covariance_order: tuple[str, ...]  # what its rows are
+    judgement: Mapping[str, Any]
+    kinematics: Mapping[str, Any] | None = None  # the links' errors, if they were fitted
+
+    def values(self) -> dict[str, Any]:
+        """As files hold it; of several recordings `clock_offset_s` is a table by their names."""
+        clocks = dict(self.clock_offsets_s)
+        poses = {
+            name: {"quat_wxyz": pose.quat_wxyz, "translation_mm": pose.translation}
+            for name, pose in vars(self).items()
+            if isinstance(pose, RigidTransform)
+        }
+        return {
+            "robot": self.robot,
+            "clock_offset_s": clocks if len(clocks) > 1 else next(iter(clocks.values())),
+            "covariance_order": self.covariance_order,
+            "covariance": self.covariance,
+            **poses,
+            "judgement": self.judgement,
+            "kinematics": self.kinematics,
+        }
+
+    def to_base(self, track: PoseTrack) -> PoseTrack:
+        """The reported point in the robot's base, of a track in the cameras' world.
+
+        EstimatorError: the track has no rotations, and the point is not the body's origin.
+        """
+        base_from_world = self.world_from_base.inverse()
+        point, turns = self.flange_from_body.inverse().translation, track.rotations
+        moved, covariances = track.positions_mm, track.covariances
+        if turns is not None and track.pose_covariances is not None:
+            lever = turns @ point
+            moved = moved + lever
+            by = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), -skew(lever)], axis=2)
+            covariances = propagate(by, track.pose_covariances)
+        elif np.linalg.norm(point) > 1e-6:
+            raise EstimatorError(
+                f"{track.name}: holds positions alone, and the frame needs poses: give a run, or "
+                "a table with qw, qx, qy, qz"
+            )
+        return replace(
+            track,
+            positions_mm=base_from_world.apply(moved),
+            covariances=propagate(base_from_world.rotation, covariances),
+        )
+
+
+class _File(FileModel):
+    robot: str
+    clock_offset_s: FiniteFloat | dict[str, FiniteFloat]
+    covariance_order: list[str]
+    covariance: list[list[FiniteFloat]]
+    world_from_base: StatedTransform
+    flange_from_body: StatedTransform
+    judgement: dict[str, Any]
+    kinematics: dict[str, Any] | None = None
+
+
+def write_frame(path: Path, frame: RobotFrame) -> None:
+    """Write a `frame.toml`."""
+    path.write_text(dump_toml(frame.values()), encoding="utf-8")
+
+
+def read_frame(path: Path) -> RobotFrame:
+    """Read a `frame.toml`; EstimatorError if it is missing or does not fit, with the line."""
+    file = load_toml(path, _File, EstimatorError)
+    clocks = file.clock_offset_s
+    return RobotFrame(
+        file.robot,
+        file.world_from_base.transform(),
+        file.flange_from_body.transform(),
+        clocks if isinstance(clocks, dict) else {"": clocks},
+        np.array(file.covariance),
+        tuple(file.covariance_order),
+        file.judgement,
+        file.kinematics,
+    )

@@ -1,0 +1,325 @@
+"""Correcting recorded states with the same code that runs online."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv, parquet
+
+from measure.arrays import Bools, Floats
+from measure.errors import EstimatorError
+from measure.host import Correction, Dataset, OnnxModel
+from measure.reading import candidates, time_columns
+from measure.robots import StateSchema
+from measure.robots.schema import Clock, FeatureColumns
+from measure_learning.core import offsets
+from measure_learning.core.assemble import AssemblySettings, PoseTrack, assemble
+from measure_learning.core.guard import GuardedModel
+from measure_learning.core.labels import Paired, chain_doubt, check_units, not_the_robot
+from measure_learning.robots import LogFile, check_robot, feature_columns, is_table, log_pieces
+from measure_learning.robots.tables import TableFile
+
+_MOST_UNFAMILIAR, _SPARSEST = 0.5, 10.0  # share of states; their steps over those of the training
+_NEAR_S = 0.05  # a true position is that of the first state after it, if no later than this
+
+
+@dataclass(frozen=True, eq=False)
+class StateTable:
+    """Recorded states of one or more runs, or a piece of such a recording."""
+
+    run: Any  # (n,) labels; the model's history restarts where they change
+    index: Any  # (n,) the rows' own numbers
+    times_s: Floats  # (n,) NaN where not recorded
+    states: Floats  # (n, features)
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """Estimated errors and their SDs (n, 3) mm, NaN where refused; flags; what was counted."""
+
+    errors_mm: Floats
+    axis_sd_mm: Floats
+    unfamiliar: Bools
+    counts: dict[str, int]
+
+    @property
+    def sd_mm(self) -> Floats:
+        """SDs (n,) in 3-D."""
+        return np.asarray(np.linalg.norm(self.axis_sd_mm, axis=1))
+
+
+def read_states(path: Path, model: OnnxModel) -> Iterator[StateTable]:
+    """States from Parquet or CSV (columns `run`, `i` and `t_s` or `time_s` optional) or a bag.
+
+    They come in order, piece by piece: files may be of any length. EstimatorError: features are
+    missing (they are named), the states are of another robot, or the file cannot be read.
+    """
+    if not path.exists():
+        raise EstimatorError(f"{path}: no such file of states")
+    if is_table(path):
+        schema = model.schema
+        file = TableFile.open(path, schema.log.delimiter)
+        check_robot(file, model.robot)
+        return _tables(file, feature_columns(path, schema, file.schema.names))
+    return _bagged(path, model)
+
+
+def _bagged(path: Path, model: OnnxModel) -> Iterator[StateTable]:
+    row = 0
+    for times, states in log_pieces(path, model.schema):
+        index = np.arange(row, row + len(times))
+        yield StateTable(np.array([path.stem] * len(times)), index, times, states)
+        row += len(times)
+
+
+def _tables(file: TableFile, found: FeatureColumns) -> Iterator[StateTable]:
+    """The last of several names of a column counts."""
+    there, where, schema = file.schema.names, str(file.path), found.schema
+    run = next((name for name in ("run", "trajectory") if name in file), None)
+    timed = time_columns(there) or candidates(there) or schema.log.time
+    clock = Clock(where, there, schema) if timed else None
+    labels = [name for name in (run, "i") if name is not None and name in file]
+    times = clock.columns if clock else ()
+    empty = True
+    for table in file.pieces((*times, *found.columns), labels):
+        empty = False
+        count = len(table)
+        yield StateTable(
+            np.array([file.path.stem] * count if run is None else table.labels(run)),
+            np.arange(table.first_row, table.first_row + count)
+            if "i" not in file
+            else np.array(table.labels("i")),
+            clock.seconds(table.numbers(*times)) if clock else np.full(count, np.nan),
+            found.states(where, table.numbers(*found.columns)),
+        )
+    if empty:
+        raise EstimatorError(f"{file.path}: holds no states")
+
+
+class Corrector:
+    """Streams runs through a model, from a reset each; a run may come in several tables."""
+
+    def __init__(
+        self,
+        model: OnnxModel,
+        zeroing: offsets.Zeroing | None = None,
+        follower: offsets.OffsetFollower | None = None,
+        true: PoseTrack | None = None,
+    ) -> None:
+        """A table of `true` positions, on the states' clock, moves the offsets of `follower`."""
+        self._guarded = GuardedModel(model, zeroing, follower=follower)
+        self._run: object = None
+        self._true, self._next = true, 0
+        self._seen = list[tuple[Floats, Floats]]()  # states, and the true positions taken there
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What was counted so far."""
+        return self._guarded.counters.values()
+
+    def correct(self, table: StateTable) -> Corrected:
+        """The next states; the counts are of all so far."""
+        count = len(table.states)
+        errors, covariances = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
+        unfamiliar = np.zeros(count, dtype=bool)
+        for row, label in enumerate(table.run.tolist()):
+            if label != self._run:
+                if self._true is not None and self._run is not None:
+                    raise EstimatorError(
+                        f"true positions belong to one run, and the states are of '{self._run}' "
+                        f"and '{label}': give one run at a time"
+                    )
+                self._guarded.reset()
+                self._run = label
+            answer = self._guarded.update(table.states[row], float(table.times_s[row]))
+            if isinstance(answer, Correction):
+                errors[row], covariances[row] = answer.error_mm, answer.covariance
+                unfamiliar[row] = answer.unfamiliar
+                self._take(table.states[row], float(table.times_s[row]))
+        sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+        return Corrected(errors, sd, unfamiliar, self.counts)
+
+    def _take(self, state: Floats, time_s: float) -> None:
+        """The true positions measured since the state before, where it was near in time."""
+        while (
+            self._true is not None
+            and self._next < len(self._true.times_s)
+            and self._true.times_s[self._next] <= time_s
+        ):
+            at, self._next = self._next, self._next + 1
+            position = self._true.positions_mm[at]
+            if np.isfinite(position).all() and time_s - self._true.times_s[at] <= _NEAR_S:
+                self._guarded.measured(position, self._true.covariances[at])
+                self._seen.append((state, position))
+
+    def check_true(self) -> None:
+        """At the end, refuse (EstimatorError) those of another clock, unit or frame."""
+        if (true := self._true) is None:
+            return
+        if not self._seen:
+            raise EstimatorError(
+                f"{true.name}: none of {len(true.times_s)} true positions was measured within "
+                f"{_NEAR_S:g} s before a state: they are from {true.times_s[0]:.6g} to "
+                f"{true.times_s[-1]:.6g} s, on the states' clock?"
+            )
+        schema = self._guarded.model.schema
+        states, places = map(np.array, zip(*self._seen, strict=True))
+        reported = schema.position_mm(states)
+        check_units(true.name, places, reported)
+        pairs = Paired(places, reported, None, schema.joint_positions(states), schema.chain)
+        if (doubt := not_the_robot(replace(pairs, coupled=schema.coupled))) is not None:
+            raise EstimatorError(
+                f"{true.name}: {doubt}: true positions are of the reported point, in its base"
+            )
+
+
+def correct_file(
+    states: Path,
+    model: OnnxModel,
+    out: Path,
+    zeroing: offsets.Zeroing | None = None,
+    follower: offsets.OffsetFollower | None = None,
+    true: PoseTrack | None = None,
+) -> dict[str, int]:
+    """Correct recorded states (see `read_states`), and count what became of them.
+
+    Writes Parquet or CSV: `run, i, t_s`, the errors `ex, ey, ez` in mm with `sd_mm` (3-D) and
+    `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`.
+    """
+    corrector, schema = Corrector(model, zeroing, follower, true), model.schema
+    with ExitStack() as opened:
+        writer: Any = None
+        for table in read_states(states, model):
+            reported = schema.position_mm(table.states)
+            corrected = corrector.correct(table)
+            rows = pa.table(_columns(table, corrected, reported))
+            if writer is None:
+                _refuse_other(states, model, table, corrected)
+                kind = csv.CSVWriter if out.suffix == ".csv" else parquet.ParquetWriter
+                writer = opened.enter_context(kind(out, rows.schema))
+            writer.write_table(rows)
+    corrector.check_true()
+    return corrector.counts
+
+
+def _refuse_other(path: Path, model: OnnxModel, table: StateTable, found: Corrected) -> None:
+    """Refuse (EstimatorError) states of another robot, or on a clock of another unit."""
+    schema, whole = model.schema, table.states[np.isfinite(table.states).all(axis=1)]
+    joints, reported = schema.joint_positions(whole), schema.position_mm(whole)
+    if found.unfamiliar.mean() > _MOST_UNFAMILIAR and (
+        doubt := chain_doubt(schema.chain, joints, reported)
+    ):
+        raise EstimatorError(f"{path}: its states are unlike the training, and {doubt}")
+    steps = np.diff(table.times_s)
+    usual_s = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if not model.facts["memoryless"] and 0 < _SPARSEST * model.period_s < usual_s:
+        raise EstimatorError(
+            f"{path}: a state every {usual_s:.3g} s, and this model learnt from one every "
+            f"{model.period_s:.3g} s: is the unit of the time right?"
+        )
+
+
+def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> dict[str, Any]:
+    places = reported_mm + corrected.errors_mm
+    return {
+        "run": table.run,
+        "i": table.index,
+        "t_s": table.times_s,
+        **{f"e{axis}": corrected.errors_mm[:, k] for k, axis in enumerate("xyz")},
+        "sd_mm": corrected.sd_mm,
+        "unfamiliar": corrected.unfamiliar,
+        **{f"{axis}_mm": places[:, k] for k, axis in enumerate("xyz")},
+        **{f"{axis}_sd_mm": corrected.axis_sd_mm[:, k] for k, axis in enumerate("xyz")},
+    }
+
+
+def follower_of(model: OnnxModel) -> offsets.OffsetFollower:
+    """What follows the offsets by true positions, as large as they were in training."""
+    restarts_mm = model.facts.get("offset_sd_mm", 0.0)
+    return offsets.OffsetFollower(model.schema, _prior_sd_mm(model), restarts_mm)
+
+
+def _prior_sd_mm(model: OnnxModel) -> float:
+    """Size of the offsets, learnt from the recordings of the training if there were several."""
+    return float(
+        np.clip(model.facts.get("offset_sd_mm", offsets.PRIOR_SD_MM), *offsets.PRIOR_LIMITS_MM)
+    )
+
+
+def rezero(
+    model: OnnxModel, stretch: Dataset, monitor: offsets.DriftMonitor | None = None
+) -> tuple[offsets.Zeroing, offsets.DriftMonitor]:
+    """The offsets after a restart, from a stretch measured then, and drift from its residuals."""
+    estimates = model.predict(stretch)
+    used = stretch.usable
+    residuals = (stretch.errors_mm - estimates.errors_mm)[used]
+    zeroing = offsets.fit_zeroing(
+        stretch.schema,
+        stretch.states[used],
+        residuals,
+        prior_sd_mm=_prior_sd_mm(model),
+        spread_sd=np.array(model.facts.get("joint_sd", [])),
+    )
+    monitor = monitor or offsets.DriftMonitor()
+    stated = offsets.without_restarts(
+        estimates.covariances[used], model.facts.get("offset_sd_mm", 0.0)
+    )
+    stated = stated + stretch.covariances[used] + zeroing.covariance
+    left = residuals - zeroing.offset_mm(stretch.states[used])
+    for residual, covariance in zip(left, stated, strict=True):
+        monitor.add(residual, covariance)
+    return zeroing, monitor
+
+
+@dataclass(frozen=True, eq=False)
+class RobotTraces:
+    """Three positions of a robot's tip, in its base frame, at the instants of the poses."""
+
+    times_s: Floats  # (n,) on the cameras' clock
+    measured_mm: Floats  # (n, 3) by the cameras; NaN where not measured or unreliable
+    reported_mm: Floats  # (n, 3) by the robot
+    # (n, 3) reported plus the estimated error; NaN without a model, or where it refused.
+    corrected_mm: Floats
+    corrected_sd_mm: Floats  # (n,) of the correction, 3-D
+    unfamiliar: Bools  # (n,) where the state is unlike the training states
+    clock_offset_s: float  # robot minus camera time
+
+
+def robot_traces(
+    track: PoseTrack,
+    log: Path,
+    schema: StateSchema,
+    model: OnnxModel | None = None,
+    clock_offset_s: float | None = None,
+) -> RobotTraces:
+    """Reported, measured and corrected positions at the instants of the poses.
+
+    The model gets every state of the log in order, as it does online; a correction holds until the
+    next one. The clock offset is estimated from the motion if absent.
+    """
+    settings = AssemblySettings(clock_offset_s)
+    data, (facts,) = assemble([(track, LogFile(log, schema))], settings)
+    offset = facts.clock.offset_s if facts.clock else clock_offset_s or 0.0
+    reported = data.reported_mm
+    errors, sd = np.full((len(data), 3), np.nan), np.full(len(data), np.nan)
+    unfamiliar = np.zeros(len(data), dtype=bool)
+    if model is not None:
+        model.check(schema)
+        corrector = Corrector(model)
+        pieces = ((table, corrector.correct(table)) for table in read_states(log, model))
+        rows = [(p.times_s, c.errors_mm, c.sd_mm, c.unfamiliar) for p, c in pieces]
+        times_s, *known = map(np.concatenate, zip(*rows, strict=True))
+        at = np.searchsorted(times_s, data.times_s, side="right") - 1
+        began = at >= 0
+        for own, corrected in zip((errors, sd, unfamiliar), known, strict=True):
+            own[began] = corrected[at[began]]
+    measured = reported + np.where(data.usable[:, None], data.errors_mm, np.nan)
+    return RobotTraces(
+        data.times_s - offset, measured, reported, reported + errors, sd, unfamiliar, offset
+    )

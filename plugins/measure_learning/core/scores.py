@@ -1,0 +1,182 @@
+"""Accuracy of corrections: RMS, SD, reduction; per axis, trajectory, speed and without inputs."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.host import Dataset, Estimates, Estimator, OnnxModel, Report
+from measure.host.estimator import quiet
+from measure_learning.core.fitting import fit
+from measure_learning.core.splits import Split
+
+SPEED_EDGES_MM_S = (0.0, 5.0, 15.0, 30.0, 60.0, np.inf)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Residuals of some rows, in mm."""
+
+    rows: int
+    rms_mm: float  # root mean square of the 3-D residual
+    sd_mm: float  # root of the trace of the residuals' covariance
+    p95_mm: float  # 95th percentile of its norm
+    axis_rms_mm: tuple[float, ...]  # (3,) per axis
+    axis_sd_mm: tuple[float, ...]  # (3,) per axis
+
+    @classmethod
+    def of(cls, residuals_mm: Floats) -> Score:
+        """Of (n, 3) residuals."""
+        if not len(residuals_mm):
+            nan = float("nan")
+            return cls(0, nan, nan, nan, (nan, nan, nan), (nan, nan, nan))
+        axis_rms = np.sqrt((residuals_mm**2).mean(axis=0))
+        axis_sd = residuals_mm.std(axis=0)
+        return cls(
+            len(residuals_mm),
+            float(np.linalg.norm(axis_rms)),
+            float(np.linalg.norm(axis_sd)),
+            float(np.quantile(np.linalg.norm(residuals_mm, axis=1), 0.95)),
+            tuple(axis_rms.tolist()),
+            tuple(axis_sd.tolist()),
+        )
+
+
+@dataclass(frozen=True)
+class EstimatorEvaluation:
+    """An estimator on a data set, before and after the correction."""
+
+    before: Score  # of the reported position
+    after: Score  # of the corrected position
+    rms_change: float  # after / before - 1; negative is better
+    sd_change: float  # the same for the SD
+    # mean squared Mahalanobis length of residuals per axis; 1 if the covariance fits.
+    consistency: float
+    unfamiliar: float  # share of rows flagged as unlike training
+    by_trajectory: dict[str, tuple[Score, Score]]  # name -> (before, after)
+    # (slowest mm/s, fastest mm/s, before, after).
+    by_speed: tuple[tuple[float, float, Score, Score], ...]
+
+
+def evaluate(data: Dataset, estimates: Estimates) -> EstimatorEvaluation:
+    """Score corrections, one for every row, on the usable rows of a data set."""
+    keep = data.usable
+    residuals = data.errors_mm - estimates.errors_mm
+    before, after = Score.of(data.errors_mm[keep]), Score.of(residuals[keep])
+    covariance = (estimates.covariances + data.covariances)[keep]
+    squared = np.einsum("ni,nij,nj->n", residuals[keep], np.linalg.inv(covariance), residuals[keep])
+    speed = speeds_mm_s(data)
+    return EstimatorEvaluation(
+        before=before,
+        after=after,
+        rms_change=after.rms_mm / before.rms_mm - 1.0,
+        sd_change=after.sd_mm / before.sd_mm - 1.0 if before.sd_mm else float("nan"),
+        consistency=float(squared.mean() / 3.0),
+        unfamiliar=float((~(estimates.strangeness[keep] <= 1.0)).mean()),
+        by_trajectory={
+            name: (
+                Score.of(data.errors_mm[rows][keep[rows]]),
+                Score.of(residuals[rows][keep[rows]]),
+            )
+            for name, rows in data.runs()
+        },
+        by_speed=tuple(
+            (low, high, Score.of(data.errors_mm[part]), Score.of(residuals[part]))
+            for low, high in itertools.pairwise(SPEED_EDGES_MM_S)
+            for part in [keep & (speed >= low) & (speed < high)]
+        ),
+    )
+
+
+def corrected_rms_mm(model: OnnxModel, data: Dataset) -> float:
+    """RMS in mm of the usable rows' errors after a model's corrections."""
+    residuals = data.errors_mm - model.predict(data).errors_mm
+    return Score.of(residuals[data.usable]).rms_mm
+
+
+def speed_range(low: float, high: float) -> str:
+    """A range of speeds in words."""
+    return f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}"
+
+
+def speeds_mm_s(data: Dataset) -> Floats:
+    """Speed of the reported position (n,); NaN where times are unknown."""
+    out = np.full(len(data), np.nan)
+    for _, rows in data.runs():
+        times = data.times_s[rows]
+        if len(times) > 2 and np.all(np.diff(times) > 0):
+            slope = np.gradient(data.reported_mm[rows], times, axis=0)
+            out[rows] = np.linalg.norm(slope, axis=1)
+    return out
+
+
+@dataclass(frozen=True)
+class Importance:
+    """Increase of the test RMS without an input."""
+
+    name: str  # of a feature or a group of features
+    features: int
+    permuted_mm: float  # RMS with the columns shuffled among rows; history is shuffled with them
+    removed_mm: float | None  # RMS after fitting without them; None if not tried
+    permutation_mm: float  # `permuted_mm` minus the RMS with all inputs
+    removal_mm: float | None  # likewise
+
+
+def ablate(
+    model: OnnxModel,
+    split: Split,
+    groups: dict[str, Sequence[str]],
+    *,
+    refit: Callable[[], Estimator] | None = None,
+    seed: int = 0,
+    report: Report,
+) -> tuple[float, list[Importance]]:
+    """RMS in mm with all inputs, and the importance of every group of features, the largest first.
+
+    `refit` makes an unfitted estimator; given, every group is also removed and refitted. A removed
+    feature is held at its mean, so that files and schemas stay alike.
+    """
+    base = corrected_rms_mm(model, split.test)
+    found = []
+    for index, (name, members) in enumerate(groups.items()):
+        report(index / len(groups), name)
+        columns = split.test.schema.index(members)
+        permuted = corrected_rms_mm(model, _shuffled(split.test, columns, seed))
+        removed = None if refit is None else _removed(refit(), split, columns, seed)
+        removal = None if removed is None else removed - base
+        found.append(Importance(name, len(columns), permuted, removed, permuted - base, removal))
+    report(1.0, "done")
+    return base, sorted(found, key=lambda item: -item.permutation_mm)
+
+
+def field_groups(data: Dataset, *, single: bool) -> dict[str, Sequence[str]]:
+    """The robot's own groups of features; where it has none, or if `single`, each that varies."""
+    if data.schema.groups and not single:
+        return dict(data.schema.groups)
+    spread = np.ptp(data.states, axis=0)
+    return {name: (name,) for name, s in zip(data.schema.names, spread, strict=True) if s > 0}
+
+
+def _shuffled(data: Dataset, columns: Sequence[int], seed: int) -> Dataset:
+    order = np.random.default_rng(seed).permutation(len(data))
+    return _with(data, columns, data.states[order][:, columns])
+
+
+def _with(data: Dataset, columns: Sequence[int], values: Floats) -> Dataset:
+    states = data.states.copy()
+    states[:, columns] = values
+    return replace(data, states=states)
+
+
+def _removed(estimator: Estimator, split: Split, columns: Sequence[int], seed: int) -> float:
+    middle = split.train.states[:, columns].mean(axis=0)
+    train, validation, test = (
+        _with(part, columns, middle) for part in (split.train, split.validation, split.test)
+    )
+    estimator.folds = 0
+    fit(estimator, train, validation, seed=seed, report=quiet)
+    return corrected_rms_mm(estimator.model, test)  # type: ignore[attr-defined]

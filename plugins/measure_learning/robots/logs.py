@@ -1,0 +1,204 @@
+"""Robot logs: states over time, from Parquet, CSV, ROS 1/2 bags and MCAP."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from measure.arrays import Bools, Floats, Ints
+from measure.errors import EstimatorError
+from measure.reading import TIME
+from measure.robots.schema import (
+    Clock,
+    FeatureColumns,
+    RobotLog,
+    StateSchema,
+    find_columns,
+    lacking,
+    reported_mm,
+)
+from measure_learning.robots.generic import BUILTIN, read_schema
+from measure_learning.robots.raven import raven_schema
+
+if TYPE_CHECKING:
+    from measure_learning.robots.tables import Columns
+
+
+def robot_names() -> list[str]:
+    """What `find_schema` knows."""
+    return ["raven", "raven-right", *sorted(path.stem for path in BUILTIN.glob("*.toml"))]
+
+
+def find_schema(name: str) -> StateSchema:
+    """The schema of a known robot, or the one that a `.toml` or `.urdf` file describes."""
+    if name in ("raven", "raven-right"):
+        return raven_schema("left" if name == "raven" else "right")
+    if name in robot_names():
+        return read_schema(BUILTIN / f"{name}.toml")
+    if name.endswith((".toml", ".urdf")):
+        return read_schema(Path(name))
+    raise EstimatorError(
+        f"no robot schema '{name}': there is {', '.join(robot_names())}, or give a robot.toml or "
+        "a .urdf"
+    )
+
+
+def misfit(where: str, schema: StateSchema, missing: Sequence[str], there: Sequence[str]) -> str:
+    """Which features a log lacks, and which known robots its columns fit instead."""
+    text = str(lacking(where, missing, len(schema.names), there))
+    fitting = [
+        name
+        for name in robot_names()
+        if (other := find_schema(name)).robot != schema.robot
+        and not isinstance(find_columns(other, there), list)
+    ]
+    return text + (f"; its columns fit --robot {' or '.join(fitting)}" if fitting else "")
+
+
+_SAME_MM = 1e-9  # A controller's own position differs by more, if only by its last digit
+ROBOT_KEY = b"measure.robot"  # Under which a Parquet file of states names its robot
+
+
+def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> RobotLog:
+    """Read a log into memory; `LogFile` reads one of any length.
+
+    Parquet, text, a bag of ROS 1, MCAP, or the folder of a ROS 2 bag, whose topic is found if
+    absent. EstimatorError: missing or unreadable, lacks features (they are named), or its clock
+    runs backwards.
+    """
+    times, states = zip(*log_pieces(path, schema, topic), strict=True)
+    return RobotLog(schema, np.concatenate(times), np.concatenate(states))
+
+
+def log_pieces(
+    path: Path, schema: StateSchema, topic: str | None = None
+) -> Iterator[tuple[Floats, Floats]]:
+    """Times (n,) and states (n, features) of a log in order, piece by piece; see `read_log`."""
+    if not path.exists():
+        raise EstimatorError(f"{path}: no such robot log")
+    if is_table(path):
+        pieces = _table_pieces(path, schema)
+    else:
+        from measure_learning.robots.bags import bag_pieces
+
+        pieces = bag_pieces(path, schema, topic)
+    row, last_s, kept = 0, -np.inf, 0
+    for times, states in pieces:
+        _check_times(path, times, last_s, row)
+        new = np.diff(times, prepend=last_s) > 0
+        row, kept, last_s = row + len(times), kept + int(new.sum()), float(times[-1])
+        if new.any():
+            yield times[new], states[new]
+    if kept < 2:
+        raise EstimatorError(f"{path}: holds {kept} states; a log needs at least two")
+
+
+def _check_times(path: Path, times: Floats, last_s: float, row: int) -> None:
+    """Refuse a piece whose times (n,) do not go on from the last one; `row` rows came before."""
+    if not np.isfinite(times).all():
+        where = row + int(np.argmin(np.isfinite(times))) + 1
+        raise EstimatorError(f"{path}: row {where} has no time")
+    back = np.diff(times, prepend=last_s) < 0
+    if back.any():
+        # The row before it, as long as there is one: where the log is to be split.
+        raise EstimatorError(
+            f"{path}: time runs backwards at row {row + int(np.argmax(back))}: split the log there"
+        )
+
+
+def write_log(path: Path, log: RobotLog) -> None:
+    """Write CSV, if the name ends with `.csv`, else Parquet."""
+    import pyarrow as pa
+
+    states = zip(log.schema.names, log.states.T.astype(np.float32), strict=True)
+    table = pa.table({TIME: log.times_s, **dict(states)})
+    if path.suffix == ".csv":
+        from pyarrow import csv
+
+        csv.write_csv(table, path)
+    else:
+        from pyarrow import parquet
+
+        named = table.replace_schema_metadata({ROBOT_KEY: log.schema.robot})
+        parquet.write_table(named, path, compression="zstd")
+
+
+def check_robot(table: Columns, robot: str) -> None:
+    """Refuse (EstimatorError) a table whose metadata names another robot; most files name none."""
+    named = table.metadata(ROBOT_KEY)
+    if named not in ("", robot):
+        raise EstimatorError(f"{table.path}: holds states of robot '{named}', not of '{robot}'")
+
+
+def is_table(path: Path) -> bool:
+    """Whether a log is Parquet or text, by its content, and not a bag."""
+    from measure_learning.robots.tables import kind_of
+
+    return not path.is_dir() and kind_of(path) in (".parquet", ".csv")
+
+
+def feature_columns(where: Path, schema: StateSchema, there: Sequence[str]) -> FeatureColumns:
+    """Where a log with the columns `there` holds the features; EstimatorError if some are not."""
+    found = find_columns(schema, there)
+    if isinstance(found, list):
+        raise EstimatorError(misfit(str(where), schema, found, there))
+    return found
+
+
+def _table_pieces(path: Path, schema: StateSchema) -> Iterator[tuple[Floats, Floats]]:
+    from measure_learning.robots.tables import TableFile
+
+    file = TableFile.open(path, schema.log.delimiter)
+    check_robot(file, schema.robot)
+    found = feature_columns(path, schema, file.schema.names)
+    clock = Clock(str(path), file.schema.names, schema)
+    for table in file.pieces((*clock.columns, *found.columns)):
+        states = found.states(str(path), table.numbers(*found.columns))
+        yield clock.seconds(table.numbers(*clock.columns)), states
+
+
+class LogFile:
+    """A log of any length; see `RobotLog` for what its parts are.
+
+    The file is read once when this is built, and once more for every call of `states_at`.
+    """
+
+    def __init__(self, path: Path, schema: StateSchema, topic: str | None = None) -> None:
+        """Read the file; see `read_log`."""
+        self.schema, self._path, self._topic = schema, path, topic
+        times, places, whole = list[Floats](), list[Floats](), list[Bools]()
+        self.broken: Ints = np.zeros(len(schema.features), dtype=np.int64)
+        self.computed = schema.chain is not None  # whether its positions are those of its joints
+        for piece, states in log_pieces(path, schema, topic):
+            finite = np.isfinite(states)
+            self.broken += (~finite).sum(axis=0)
+            complete = np.asarray(finite.all(axis=1))
+            times.append(piece)
+            whole.append(complete)
+            places.append(reported_mm(schema, states, complete))
+            if schema.chain is not None and self.computed:
+                tips = schema.chain.tip_mm(schema.joint_positions(states[complete]))
+                self.computed = np.allclose(tips, places[-1][complete], rtol=0.0, atol=_SAME_MM)
+        self.times_s: Floats = np.concatenate(times)
+        self.complete: Bools = np.concatenate(whole)
+        self.reported_mm: Floats = np.concatenate(places)
+
+    def states_at(self, rows: Ints) -> Floats:
+        """States (k, features) of rows (k,); EstimatorError if the file has changed since."""
+        order = np.argsort(rows, kind="stable")
+        wanted = rows[order]
+        out = np.empty((len(rows), len(self.schema.features)))
+        start = done = 0
+        for times, states in log_pieces(self._path, self.schema, self._topic):
+            stop = int(np.searchsorted(wanted, start + len(times)))
+            out[order[done:stop]] = states[wanted[done:stop] - start]
+            start, done = start + len(times), stop
+        if start != len(self.times_s):
+            raise EstimatorError(f"{self._path}: has changed while it was read: try again")
+        return out
+
+
+StateLog: TypeAlias = RobotLog | LogFile

@@ -1,0 +1,6 @@
+"""A simulated RAVEN-II: teleoperated motion through motors, cables, links, friction, gravity."""
+
+from measure_learning.simulator.mechanics import Cables
+from measure_learning.simulator.simulate import SimulatedRun, simulate
+
+__all__ = ["Cables", "SimulatedRun", "simulate"]

@@ -1,0 +1,1 @@
+"""Sinks: poses as they come, to OpenIGTLink, LSL, Foxglove and Zenoh (ROS 2)."""

@@ -1,0 +1,49 @@
+"""`measure studio`: the set-up page."""
+
+from __future__ import annotations
+
+import webbrowser
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.options import CaptureOptions, InjectedRegistry
+from measure.errors import ConfigError
+
+
+def studio(
+    folder: Path = Path(),
+    /,
+    *cameras: str,
+    port: int = 8080,
+    browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
+    host: str = "127.0.0.1",
+    capture: CaptureOptions = CaptureOptions(),
+    registry: InjectedRegistry,
+) -> None:
+    """Serve a page that leads from cameras on a desk to a measured object.
+
+    It runs until it is interrupted (Ctrl-C). Only this machine can open it, unless `--host` says
+    otherwise; then its address holds a token, and whoever has that can use the cameras and the
+    folder.
+
+    Args:
+        folder: where everything is read and written; this one if omitted.
+        cameras: NAME=ADDRESS each, as for `measure record`; those of the last time if omitted.
+        port: to listen on; 0 for any that is free.
+        browser: open the page in a browser.
+        host: address to listen on.
+    """
+    if find_spec("nicegui") is None:
+        raise ConfigError("the page needs NiceGUI: pip install 'triball[studio]'")
+    from measure_studio.server import serve
+
+    def tell(address: str) -> None:
+        console.print_text(address)
+        if browser:
+            webbrowser.open(address)
+
+    serve(folder, registry, cameras, capture.request(), (host, port), capture.seconds, tell)
