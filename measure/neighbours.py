@@ -17,9 +17,10 @@ from typing import Any
 
 from measure.errors import ConfigError, PluginError
 
-COMMANDS, DEMO, VIEWS = "measure.commands", "measure.demo", "measure.views"
-"""Groups of entry points: packages with commands, functions that the demonstration calls, and
-functions that write further recordings of a run for the viewer."""
+COMMANDS, DEMO, FORMATS = "measure.commands", "measure.demo", "measure.formats"
+VIEWS = "measure.views"
+"""Groups of entry points: packages with commands, functions that the demonstration calls, formats
+of other programs, and functions that write further recordings of a run for the viewer."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,6 @@ from measure.geometry import UncertainTransform
 from measure.model import Camera, paper_body
 from measure.processes import Progress, quiet
 from measure.session import Calibration, check_unit, dump_toml, read_body, write_calibration
-from measure.session.calibrations import Format
 
 _PRINTED_SHARE = 0.15  # A4 for Letter is 6 %; more is another board
 
@@ -83,7 +82,7 @@ def calibrate_to(
     body: Path | None = None,
     progress: Progress = quiet,
     *,
-    file_format: Format = "triball",
+    file_format: str = "triball",
     report: Path | None = None,
     overwrite: bool = False,
 ) -> tuple[CalibrationResult, Path]:

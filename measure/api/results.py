@@ -16,7 +16,7 @@ from measure.results import evaluate as evaluate_run
 from measure.results.comparing import Comparison
 from measure.results.comparing import compare as compare_runs
 from measure.results.evaluation import pose_errors
-from measure.results.exports import export_run
+from measure.results.exporting import export_run
 from measure.results.folder import own_files
 from measure.session import (
     open_session,

@@ -33,7 +33,8 @@ def calibrate(
         out: the calibration to write.
         method: "joint" solves all cameras at once; "paper" each from its markers (equation 3).
         body: body to judge the calibration with; the paper's three-ball body if omitted.
-        file_format: of the output; only "triball" holds covariances and the judgement.
+        file_format: triball, anipose, caliscope or opencv; only "triball" holds covariances and
+            the judgement.
         report: HTML report to write; beside the output, ending in .html, if omitted.
     """
     with console.progress("calibrating", "cameras") as progress:

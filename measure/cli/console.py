@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, TextIO
+from typing import Annotated, Any, TextIO
 
 from cyclopts import Parameter
 from pydantic_core import to_jsonable_python
@@ -21,9 +21,7 @@ JsonFlag = Annotated[bool, Parameter(name="--json", help="Print one JSON object 
 """Type of every command's `json` option."""
 OutFile = Annotated[Path, Parameter(name=("--out", "-o"))]
 Overwrite = Annotated[bool, Parameter(help="Replace what is there.")]
-CalibrationFormat = Annotated[
-    Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
-]
+CalibrationFormat = Annotated[str, Parameter(name="--format")]
 """Types of options that several commands have."""
 
 UNBELIEVABLE = 3

@@ -28,7 +28,8 @@ class _OutputOptions:
 
     Attributes:
         out: the calibration to write.
-        file_format: of the output; only "triball" holds covariances and notes.
+        file_format: triball, anipose, caliscope or opencv; only "triball" holds covariances and
+            notes.
         body_output: body file to write, with the balls where the recording puts them.
     """
 

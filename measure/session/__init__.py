@@ -16,6 +16,7 @@ from measure.session.files import (
     load_toml,
     matching_files,
 )
+from measure.session.formats import Format, able, format_for, formats
 from measure.session.opening import (
     check_overlap,
     clock_values,
@@ -36,17 +37,20 @@ from measure.session.pictures import (
 )
 from measure.session.robot_base import StatedTransform, read_robot_base
 from measure.session.session import Session, pair_nearest, seldom_paired
+from measure.session.stated_rig import MM_PER, StatedCamera, StatedRig, Unit, stated_model
 from measure.session.streams import Stream
+from measure.session.tracked_body import TrackedBody
 from measure.session.trajectory import Trajectory, read_trajectory
 from measure.session.video_file import open_video_stream
 
 __all__ = [
-    "Calibration", "FileModel", "Length", "Name", "Orientation", "PictureTags", "Position",
-    "SafeName", "Session", "StatedTransform", "Stream", "Trajectory", "check_bodies", "check_name",
-    "check_overlap", "check_unit", "clock_values", "damaged_frames", "decode_picture", "dump_toml",
-    "holds_jpeg", "is_complete_jpeg", "load_toml", "matching_files", "open_session",
+    "MM_PER", "Calibration", "FileModel", "Format", "Length", "Name", "Orientation", "PictureTags",
+    "Position", "SafeName", "Session", "StatedCamera", "StatedRig", "StatedTransform", "Stream",
+    "TrackedBody", "Trajectory", "Unit", "able", "check_bodies", "check_name", "check_overlap",
+    "check_unit", "clock_values", "damaged_frames", "decode_picture", "dump_toml", "format_for",
+    "formats", "holds_jpeg", "is_complete_jpeg", "load_toml", "matching_files", "open_session",
     "open_streams", "open_video_stream", "pair_nearest", "picture_bytes", "picture_tags",
     "read_bodies", "read_body", "read_calibration", "read_intrinsics", "read_picture",
     "read_robot_base", "read_trajectory", "seldom_paired", "session_file", "session_lacks",
-    "session_truth", "write_bodies", "write_body", "write_calibration",
+    "session_truth", "stated_model", "write_bodies", "write_body", "write_calibration",
 ]  # fmt: skip

@@ -7,24 +7,22 @@ import tomllib
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import cast
 
-import cv2
 import numpy as np
 
-from measure.arrays import Floats
 from measure.errors import CalibrationError
-from measure.model import Camera, Intrinsics
+from measure.model import Intrinsics
 from measure.reading import parse_toml, read_text
 from measure.session import calibration_file
-from measure.session.files import check_name, dump_toml
-from measure.session.interchange_tables import is_foreign_toml, read_tables
-from measure.session.interchange_xml import read_xml
-from measure.session.stated_rig import MM_PER, Sizes, StatedRig, Unit, plain_values
+from measure.session.files import check_name
+from measure.session.formats import able, format_for, formats
+from measure.session.stated_rig import Sizes, StatedRig, Unit
 
 _log = logging.getLogger(__name__)
 
-Format = Literal["triball", "anipose", "caliscope", "opencv"]
+OWN_FORMAT = "triball"
+"""Name of our own format, among those of other programs."""
 
 _FOCAL_SIZES = 0.05, 200.0
 """Least and largest focal length of what may be a lens, in sizes of its picture."""
@@ -69,32 +67,50 @@ def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
 
 def _foreign(path: Path, text: str) -> StatedRig | None:
     """The rig in a file of another program; None if it is ours."""
-    values: dict[str, object] | None = None
+    toml = path.suffix.lower() == ".toml"
     with suppress(tomllib.TOMLDecodeError):
-        values = parse_toml(text)
-    if values is not None and is_foreign_toml(values):
-        return read_tables(path, values)
-    if values is not None or path.suffix.lower() == ".toml":
+        if isinstance(parse_toml(text).get("cameras"), list):
+            return None
+        toml = True
+    for read in able("read_calibration").values():
+        if (rig := read(path, text)) is not None:
+            return cast("StatedRig", rig)
+    if toml:
         return None
-    if text.lstrip().startswith("<") and "<opencv_storage" not in text:
-        return read_xml(path, text)
-    return read_tables(path, plain_values(path, text))
+    known = "; ".join(one.does for one in formats().values() if one.read_calibration)
+    raise CalibrationError(
+        f"{path}: holds no camera that is read; calibrations are read as this program's TOML; "
+        f"{known}"
+    )
 
 
 def write_calibration(
-    path: Path | str, calibration: calibration_file.Calibration, file_format: Format = "triball"
+    path: Path | str, calibration: calibration_file.Calibration, file_format: str = OWN_FORMAT
 ) -> None:
     """Write a calibration; only our own format holds covariances, shutters and provenance.
 
-    Translations are in mm, of "caliscope" in m; for "opencv" the ending chooses YAML, XML or JSON.
+    ConfigError: no package brings a format of this name.
     """
+    if file_format == OWN_FORMAT:
+        calibration_file.write_own_calibration(Path(path), calibration)
+        return
+    write = format_for("write_calibration", file_format).write_calibration
+    assert write is not None
+    _warn_of_losses(path, calibration, file_format)
+    write(Path(path), calibration)
+
+
+def _warn_of_losses(
+    path: Path | str, calibration: calibration_file.Calibration, file_format: str
+) -> None:
+    """Log what a format of another program cannot hold."""
     cameras = calibration.cameras
     lost = {
         "rolling shutter (readout_s)": [c.name for c in cameras if c.readout_s],
         "lateral colour": [c.name for c in cameras if any(c.intrinsics.lateral_color or ())],
     }
     for what, names in lost.items():
-        if names and file_format != "triball":
+        if names:
             _log.warning(
                 "%s: a file for %s cannot hold the %s of %s: what is measured with it will be off",
                 path,
@@ -102,13 +118,6 @@ def write_calibration(
                 what,
                 ", ".join(names),
             )
-    writers = {
-        "triball": calibration_file.write_own_calibration,
-        "anipose": write_anipose,
-        "caliscope": write_caliscope,
-        "opencv": write_opencv,
-    }
-    writers[file_format](Path(path), calibration)
 
 
 def check_calibration(calibration: calibration_file.Calibration, source: str) -> None:
@@ -168,73 +177,3 @@ def _is_a_lens(lens: Intrinsics) -> bool:
         )
         bent = np.maximum(seen / ideal, ideal / seen)
     return bool(np.all(moved < _SAME_PX) and np.all(bent < _MAX_DISTORTION_RATIO))
-
-
-def write_anipose(path: Path, calibration: calibration_file.Calibration) -> None:
-    """Write aniposelib's TOML, in mm."""
-    tables: dict[str, Any] = {
-        f"cam_{i}": {"name": camera.name, **_foreign_values(camera, "mm")}
-        for i, camera in enumerate(calibration.cameras)
-    }
-    known = [c.reprojection_rms_px for c in calibration.cameras if c.reprojection_rms_px]
-    worst = max(known, default=0.0)
-    tables["metadata"] = {"adjusted": False, "error": worst, "unit": "mm"}
-    path.write_text(dump_toml(tables), encoding="utf-8")
-
-
-def write_caliscope(path: Path, calibration: calibration_file.Calibration) -> None:
-    """Write caliscope's `camera_array.toml`, in metres."""
-    tables = {
-        str(i): {
-            "cam_id": i,
-            "name": camera.name,
-            "rotation_count": 0,
-            "error": camera.reprojection_rms_px,
-            **_foreign_values(camera, "m"),
-        }
-        for i, camera in enumerate(calibration.cameras)
-    }
-    path.write_text(dump_toml({"cameras": tables}), encoding="utf-8")
-
-
-def write_opencv(path: Path, calibration: calibration_file.Calibration) -> None:
-    """Write OpenCV YAML, XML or JSON, as the name ends; poses are camera_from_world in mm."""
-    out = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    if not out.isOpened():
-        raise CalibrationError(f"{path}: cannot be written as OpenCV YAML, XML or JSON")
-    out.write("unit", "mm")
-    out.startWriteStruct("cameras", cv2.FILE_NODE_SEQ)
-    for camera in calibration.cameras:
-        out.startWriteStruct("", cv2.FILE_NODE_MAP)
-        out.write("camera_name", camera.name)
-        out.write("image_width", int(camera.intrinsics.size_wh[0]))
-        out.write("image_height", int(camera.intrinsics.size_wh[1]))
-        if camera.intrinsics.model == "fisheye":
-            out.write("camera_model", "fisheye")
-        out.write("camera_matrix", camera.intrinsics.matrix)
-        out.write("distortion_coefficients", _opencv_distortion(camera).reshape(-1, 1))
-        out.write("R", camera.camera_from_world.rotation)
-        out.write("T", camera.camera_from_world.translation.reshape(3, 1))
-        if camera.reprojection_rms_px is not None:
-            out.write("avg_reprojection_error", camera.reprojection_rms_px)
-        out.endWriteStruct()
-    out.endWriteStruct()
-    out.release()
-
-
-def _opencv_distortion(camera: Camera) -> Floats:
-    """The shortest OpenCV vector (5 or 8; 4 of a fisheye) that holds a camera's distortion."""
-    distortion = camera.intrinsics.coefficients
-    return distortion if distortion[5:].any() else distortion[:5]
-
-
-def _foreign_values(camera: Camera, unit: Unit) -> dict[str, Any]:
-    rotation, _ = cv2.Rodrigues(camera.camera_from_world.rotation)
-    return {
-        "size": list(camera.intrinsics.size_wh),
-        "matrix": camera.intrinsics.matrix,
-        "distortions": _opencv_distortion(camera),
-        "fisheye": camera.intrinsics.model == "fisheye",
-        "rotation": np.asarray(rotation).reshape(3),
-        "translation": camera.camera_from_world.translation / MM_PER[unit],
-    }

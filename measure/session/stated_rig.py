@@ -1,16 +1,13 @@
-"""Cameras as files of other programs state them: read as plain values, and how they become ours."""
+"""Cameras as files of other programs state them, and how they become ours."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import cv2
 import numpy as np
-import yaml
 
 from measure.arrays import Floats
 from measure.errors import CalibrationError
@@ -18,58 +15,6 @@ from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, Projection
 from measure.model.camera import check_coefficients
 from measure.session.calibration_file import NO_CAMERA_MATRIX, Calibration, is_camera_matrix
-
-_SHOWN = 120  # Characters of a reason: OpenCV quotes what it could not read
-_LONGEST = 1000  # Entries of a list that may describe cameras
-
-READ = (
-    "calibrations are read as this program's, aniposelib's, caliscope's or Pose2Sim's TOML; "
-    "OpenCV's YAML, XML or JSON (camera_matrix, or M1 D1 M2 D2 R T of a stereo pair); Kalibr's "
-    "camchain; ROS's camera_info (lenses); MC-Calib; multical; EasyMocap's intri.yml and "
-    "extri.yml; Vicon's .xcp; Qualisys' .qca.txt"
-)
-"""The end of messages on files of other programs."""
-
-
-def plain_values(path: Path, text: str) -> Any:
-    """The values of a file, None if in none of these languages; CalibrationError if broken."""
-    start = text.lstrip()
-    if "!!opencv-matrix" in text and not start.startswith("%YAML"):
-        start = f"%YAML:1.0\n---\n{start.removeprefix('---')}"
-    if start.startswith(("%YAML", "<")) or ("opencv-matrix" in text and start.startswith("{")):
-        return _opencv_values(path, start)
-    try:
-        return json.loads(text) if start.startswith(("{", "[")) else yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError):
-        return None
-
-
-def _opencv_values(path: Path, text: str) -> Any:
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    except (cv2.error, SystemError) as problem:
-        cause = str(problem.__cause__ or problem).strip().splitlines()[-1]
-        cause = cause.rpartition("error: ")[2][:_SHOWN]
-        raise CalibrationError(f"{path}: not a file OpenCV can read ({cause}); {READ}") from None
-    root = storage.root()
-    return _plain(root) if root.isMap() else None
-
-
-def _plain(node: Any) -> Any:
-    if node.isMap():
-        keys = node.keys()
-        if not {"rows", "cols", "data"} <= set(keys):
-            return {key: _plain(node.getNode(key)) for key in keys}
-        try:
-            return np.asarray(node.mat(), dtype=np.float64)
-        except cv2.error:  # its numbers do not fit its shape
-            return np.full((1, 1), np.nan)
-    if node.isSeq():
-        return [_plain(node.at(i)) for i in range(node.size())] if node.size() < _LONGEST else None
-    if node.isInt() or node.isReal():
-        return node.real()
-    return node.string() if node.isString() else None
-
 
 Unit = Literal["mm", "cm", "m"]
 MM_PER: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0}

@@ -17,8 +17,9 @@ from measure.arrays import Bools, Floats
 from measure.errors import MeasureError, SessionError
 from measure.geometry import RigidTransform
 from measure.reading import read_text
+from measure.session.formats import able
 from measure.session.number_table import read_number_table
-from measure.session.tracker_files import tracker_bodies
+from measure.session.tracked_body import TrackedBody
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -104,12 +105,12 @@ def read_trajectory(
 
     Our CSV (`time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz`: truth.csv, poses.csv; rows without a pose are
     passed over; with a column `body` it holds several bodies), TUM (`time_s x y z qx qy qz qw`,
-    metres), or a tracker's file (see `tracker_files`), told apart by content. `error`: the file
-    cannot be used; with file and line where a value is wrong or the time does not increase.
+    metres), or another program's file (`Format.read_truth`), told apart by content. `error`: the
+    file cannot be used; with file and line where a value is wrong or the time does not increase.
     """
     path = Path(path)
     text = read_text(path, error)
-    bodies = tracker_bodies(path, text, error)
+    bodies = _tracked(path, text, error)
     first = next((line for line in text.splitlines() if line.strip()), "")
     several = "body" in map(str.strip, re.split("[,;\t]", first))
     if bodies is not None:
@@ -129,6 +130,12 @@ def read_trajectory(
             values, lines = values[mine], [lines[i] for i in np.flatnonzero(mine)]
     here = np.flatnonzero(~np.isnan(values[:, 1:]).all(axis=1))
     return _checked(path, values[here], [lines[i] for i in here], error)
+
+
+def _tracked(path: Path, text: str, error: type[MeasureError]) -> Mapping[str, TrackedBody] | None:
+    """The rigid bodies in a file of another program; None if it is of none."""
+    found = (read(path, text, error) for read in able("read_truth").values())
+    return next((bodies for bodies in found if bodies is not None), None)
 
 
 def _one_of(

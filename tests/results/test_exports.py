@@ -16,7 +16,8 @@ from measure import api
 from measure.errors import ConfigError, RunError
 from measure.host import plain_names
 from measure.results import Run, RunWriter, read_run
-from measure.results.exports import FORMATS, export_run
+from measure.results.exporting import export_run
+from measure.session import able, formats
 from tests.results.conftest import BODY, CAMERAS, made_from, measurement, true_pose
 
 LOST = (3, 4)
@@ -176,7 +177,7 @@ def test_a_c3d_that_was_cut_is_not_said_to_be_whole(run, tmp_path, monkeypatch) 
     assert not (tmp_path / "x.c3d").exists()
 
 
-@pytest.mark.parametrize("file_format", FORMATS)
+@pytest.mark.parametrize("file_format", able("write_run"))
 def test_a_folder_whose_name_is_no_text(run: Run, tmp_path: Path, file_format: str) -> None:
     pytest.importorskip({"c3d": "ezc3d", "mcap": "rosbags"}.get(file_format, "numpy"))
     folder = tmp_path / "s\udcff"
@@ -217,7 +218,7 @@ def test_a_run_without_a_pose_is_refused(folder: Path, tmp_path: Path) -> None:
     with RunWriter(folder, made_from(), [BODY], CAMERAS) as writer:
         writer.append(measurement(0, lost=True))
         writer.finish()
-    for name in FORMATS:
+    for name in able("write_run"):
         with pytest.raises(RunError, match="holds no pose"):
             export_run([read_run(folder)], name, tmp_path / "x")
 
@@ -234,5 +235,7 @@ def test_a_missing_library_is_named_with_its_extra(
         return real(wanted, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(ConfigError, match=rf'needs {library}: .*"triball\[{FORMATS[name].extra}\]'):
+    with pytest.raises(
+        ConfigError, match=rf'needs {library}: .*"triball\[{formats()[name].extra}\]'
+    ):
         export_run([run], name, tmp_path / "x")

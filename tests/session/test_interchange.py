@@ -28,7 +28,7 @@ def test_a_real_opencv_file(shared: Path) -> None:
 
 
 def test_an_opencv_file_of_something_else(shared: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"stereo_calib\.xml: no camera_matrix in it"):
+    with pytest.raises(CalibrationError, match=r"stereo_calib\.xml: holds no camera that is"):
         read_calibration(shared / "data/opencv_stereo/stereo_calib.xml")
 
 

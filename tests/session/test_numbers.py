@@ -7,8 +7,8 @@ import pytest
 from measure.errors import EstimatorError, MeasureError
 from measure.reading import check_numbers
 from measure.session import open_session, read_calibration
-from measure.session.tracker_files import tracker_bodies
 from measure.session.trajectory import read_trajectory
+from measure_formats.trackers import tracker_bodies
 from measure_learning.robots.generic import read_urdf
 from tests.session.conftest import Recording
 

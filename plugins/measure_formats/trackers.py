@@ -12,8 +12,7 @@ Each writes headings of its own, several bodies side by side, and numbers in its
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from measure.arrays import Floats
 from measure.errors import MeasureError
 from measure.reading import csv_rows
+from measure.session import Format, TrackedBody
 
 _LENGTHS_MM = {
     "mm": 1.0,
@@ -37,48 +37,6 @@ _LENGTHS_MM = {
 _NDI_RATE_HZ = 60.0
 _NDI_CELLS = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]
 _NDI_LOST = ("missing", "disabled", "invalid", "unoccupied")
-_FARTHEST_MM = 1e6  # NDI writes -3.7e28 for what is not known
-
-
-@dataclass(frozen=True)
-class TrackedBody:
-    """Where a rigid body stands in a table."""
-
-    rows: Sequence[Sequence[str]]  # cells of the file; a row without cells is passed over
-    after: int  # the index of the last row of headings
-    times: list[int]  # columns of the time, and
-    units_s: list[float]  # their units in s
-    turns: list[int]  # columns of the rotation
-    # makes quaternions (n, 4) of them; of length 0 where they are no rotation.
-    quat_wxyz: Callable[[Floats], Floats]
-    places: list[int]  # first column of x y z
-    unit_mm: float = 1.0  # of these
-    begin_s: float = 0.0  # the time that counts as 0
-
-    def read(self, path: Path, error: type[MeasureError]) -> tuple[Floats, list[int]]:
-        """Rows (n, 8) of time in s, position in mm, quaternion w x y z; and their lines.
-
-        Rows in which a cell is empty, or that say so, are passed over: the body was not seen.
-        `error`: a cell is no number.
-        """
-        out, lines = [], list[int]()
-        columns = [*self.times, *self.places, *self.turns]
-        for index, row in enumerate(self.rows[self.after + 1 :], start=self.after + 2):
-            cells = [row[c].strip() if c < len(row) else "" for c in columns]
-            if all(cells):
-                try:
-                    out.append([float(cell) for cell in cells])
-                except ValueError:
-                    raise error(f"{path}:{index}: not numbers: {','.join(cells)[:60]}") from None
-                lines.append(index)
-        values, t = np.array(out).reshape(-1, len(columns)), len(self.times)
-        # Qualisys and Vicon write zeros for a body that is lost.
-        seen = np.any(values[:, t:] != 0, axis=1)
-        seen &= np.all(np.abs(values[:, t:]) < _FARTHEST_MM, axis=1)
-        values, lines = values[seen], [line for line, s in zip(lines, seen, strict=True) if s]
-        times = (values[:, :t] @ self.units_s)[:, None] - self.begin_s
-        turned = self.quat_wxyz(values[:, t + 3 :]).reshape(-1, 4)
-        return np.concatenate([times, self.unit_mm * values[:, t : t + 3], turned], axis=1), lines
 
 
 def tracker_bodies(
@@ -214,3 +172,8 @@ def _of_columns(values: Floats) -> Floats:
     good = (off < 1e-3) & (np.linalg.det(rotations) > 0)
     rotations[~good] = np.eye(3)
     return Rotation.from_matrix(rotations).as_quat(scalar_first=True) * good[:, None]
+
+
+TRACKERS = Format(
+    "trackers", "rigid bodies of Motive, Vicon, Qualisys and NDI", read_truth=tracker_bodies
+)

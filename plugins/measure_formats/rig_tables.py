@@ -12,7 +12,8 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.reading import LARGEST, read_text
-from measure.session.stated_rig import READ, StatedCamera, StatedRig, plain_values, stated_model
+from measure.session import StatedCamera, StatedRig, stated_model
+from measure_formats.plain_values import READ, plain_values
 
 Table = Mapping[str, Any]
 
@@ -36,8 +37,8 @@ _MAX_TANGENTIAL = 0.02
 _STEREO_MATRIX = ("m", *_MATRIX)
 
 
-def read_tables(path: Path, values: object) -> StatedRig:
-    """The cameras of a file of another program; CalibrationError if it is none, or broken.
+def read_tables(path: Path, values: object) -> StatedRig | None:
+    """The cameras of a file of another program; None if it is none, CalibrationError: broken.
 
     One that holds lenses alone or poses alone is read with its companion, such as `extri.yml`
     beside `intri.yml`.
@@ -47,9 +48,7 @@ def read_tables(path: Path, values: object) -> StatedRig:
             rig = read(path, {str(key): value for key, value in values.items()})
             if rig is not None:
                 return rig
-        known = ", ".join(map(str, values)) or "nothing"
-        raise CalibrationError(f"{path}: no camera_matrix in it; it holds {known[:120]}; {READ}")
-    raise CalibrationError(f"{path}: not a calibration that is read; {READ}")
+    return None
 
 
 def is_foreign_toml(values: Table) -> bool:

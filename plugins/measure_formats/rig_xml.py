@@ -11,7 +11,8 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.reading import LARGEST
-from measure.session.stated_rig import READ, StatedCamera, StatedRig
+from measure.session import StatedCamera, StatedRig
+from measure_formats.plain_values import READ
 
 _SUBPIXELS = 64.0  # Qualisys' units in a pixel
 _FLIPPED = np.diag([1.0, -1.0, -1.0])  # From axes with y up and z to the back to ours

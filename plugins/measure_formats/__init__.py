@@ -1,0 +1,1 @@
+"""Calibrations, trackers' poses and exports in the formats of other programs."""

@@ -1,0 +1,22 @@
+"""A run in other programs' formats; their libraries are imported when one is written."""
+
+from __future__ import annotations
+
+from measure.session import Format
+from measure_formats import ros, tables
+
+CSV = Format(
+    "csv", "poses with covariances, for tables", write_run=tables.write_csv, holds_velocity=True
+)
+TUM = Format("tum", "poses in metres, for evo", write_run=tables.write_tum)
+TRC = Format("trc", "balls, for OpenSim", write_run=tables.write_trc, holds_poses=False)
+C3D = Format(
+    "c3d",
+    "balls, for motion laboratories",
+    write_run=tables.write_c3d,
+    holds_poses=False,
+    extra="c3d",
+)
+MCAP = Format(
+    "mcap", "poses in metres, for ROS 2", write_run=ros.write, holds_velocity=True, extra="ros"
+)
