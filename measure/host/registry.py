@@ -301,9 +301,9 @@ def named(kind: str, plugin: Plugin, place: str) -> Iterator[None]:
 def _line(plugin: Plugin, error: Exception) -> str:
     """The plugin's own line that led to an error; the last of all, if none is its own."""
     stack = list(traceback.walk_tb(error.__traceback__))
-    package = type(plugin).__module__.partition(".")[0]
-    own = [
-        step for step in stack if step[0].f_globals.get("__name__", "").partition(".")[0] == package
-    ]
+    module = type(plugin).__module__
+    package = module.rpartition(".")[0] or module
+    names = [(step, f"{step[0].f_globals.get('__name__', '')}.") for step in stack]
+    own = [step for step, name in names if name.startswith(f"{package}.")]
     frame, line = (own or stack)[-1]
     return f"{Path(frame.f_code.co_filename).name}, line {line}"

@@ -29,8 +29,8 @@ Review = Callable[[Mapping[str, Sequence[Detection]]], None]
 class Conclusion:
     """An accepted pose, perhaps with flags added, or None and the reason in words."""
 
-    pose: Pose | None
-    reason: str = ""
+    pose: Pose | None  # accepted
+    reason: str = ""  # why there is none
 
 
 class Tracker(Plugin):

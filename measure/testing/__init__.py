@@ -8,14 +8,18 @@
 Built-in plugins pass the same classes. `docs/writing_a_plugin.md` walks through an example.
 """
 
+from measure.testing.command import CommandConformance
 from measure.testing.detector import DetectorConformance
+from measure.testing.format import FormatConformance
 from measure.testing.pose_solver import PoseSolverConformance
 from measure.testing.rules import PluginConformance
 from measure.testing.scenes import Example, example
 from measure.testing.sink import SinkConformance
+from measure.testing.tracker import TrackerConformance
 from measure.testing.triangulator import TriangulatorConformance
 
 __all__ = [
-    "DetectorConformance", "Example", "PluginConformance",
-    "PoseSolverConformance", "SinkConformance", "TriangulatorConformance", "example",
+    "CommandConformance", "DetectorConformance", "Example", "FormatConformance",
+    "PluginConformance", "PoseSolverConformance", "SinkConformance", "TrackerConformance",
+    "TriangulatorConformance", "example",
 ]  # fmt: skip

@@ -15,6 +15,7 @@ from measure.host import Plugin, Settings, describe_settings
 from measure.host.interfaces import NAME
 
 UNITS = {"", "px", "mm", "m", "deg", "rad", "s", "ms", "Hz", "%", "votes", "px²", "mm²"}
+UNITS |= {"mm/s", "rad/s", "mm/s^2", "rad/s^2"}
 """Units a setting may have; anything else is most likely a mistake."""
 
 

@@ -19,8 +19,8 @@ _FLIPPED = np.diag([1.0, -1.0, -1.0])  # From axes with y up and z to the back t
 _SAME_PX, _MARGIN, _LEAST_FOCAL = 0.1, 1.1, 0.1
 
 
-def read_xml(path: Path, text: str) -> StatedRig:
-    """The calibrated cameras of a file, lengths in mm; CalibrationError if they cannot be read."""
+def read_xml(path: Path, text: str) -> StatedRig | None:
+    """The calibrated cameras of a file, lengths in mm; None if it holds none, or CalibrationError."""
     try:
         if "<!DOCTYPE" in text:  # entities may be of any size
             raise ET.ParseError("it has a DOCTYPE")
@@ -35,7 +35,7 @@ def read_xml(path: Path, text: str) -> StatedRig:
         # Pose2Sim, which writes no version, states the distortion in 1/64 too.
         unit = _SUBPIXELS if root.get("qtm-version") == "none" else 1.0
         return StatedRig("qualisys", tuple(_qualisys(path, camera, unit) for camera in qualisys))
-    raise CalibrationError(f"{path}: <{root.tag}> holds no cameras that are read; {READ}")
+    return None
 
 
 def _vicon(path: Path, camera: ET.Element) -> StatedCamera:

@@ -243,8 +243,9 @@ NAMELESS = {
 }  # fmt: skip
 """What writes, but reads no camera, body or ball of a file."""
 READS = {
-    "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "camera_line", "camera_names",
-    "cameras", "check", "choose", "compare", "contents_of", "described", "detect", "drawings",
+    "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "camera_line",
+    "camera_names", "cameras", "check", "choose", "compare", "contents_of", "described",
+    "detect", "drawings",
     "evaluate", "evaluation_tables", "events", "inside", "learnt_colors", "load_profile",
     "measure_bodies", "measure_session", "model_file", "next_free", "parse_cameras",
     "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",

@@ -12,13 +12,18 @@ from benchmarks.sinks import address
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.model import Detection, Pose
+from measure.neighbours import commands
+from measure.session import formats
 from measure.testing import (
+    CommandConformance,
     DetectorConformance,
-    EstimatorConformance,
+    FormatConformance,
     PoseSolverConformance,
     SinkConformance,
+    TrackerConformance,
     TriangulatorConformance,
 )
+from measure_learning.testing import EstimatorConformance
 
 KITS = {
     "detector": DetectorConformance,
@@ -26,6 +31,7 @@ KITS = {
     "solver": PoseSolverConformance,
     "estimator": EstimatorConformance,
     "sink": SinkConformance,
+    "tracker": TrackerConformance,
 }
 
 
@@ -55,6 +61,15 @@ for _item in Registry.discover().loaded:
     if _item.distribution.name == "triball" and _item.kind in KITS:
         _test_class = _kit(_item.kind, _item.plugin)
         globals()[_test_class.__name__] = _test_class
+for _name, _format in formats().items():
+    globals()[f"TestFormat{_name.title()}"] = type(
+        f"TestFormat{_name.title()}", (FormatConformance,), {"format": _format}
+    )
+for _name, _command in commands().items():
+    if _command.package != "measure":
+        globals()[f"TestCommand{_name.title()}"] = type(
+            f"TestCommand{_name.title()}", (CommandConformance,), {"name": _name}
+        )
 del _test_class  # or pytest would collect the last one twice
 
 

@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).parent
-OTHERS = ("blob", "nearest", "rigid", "linear", "tail", "broken", "clashing", "wrong_hook")
+WHOLE = ("blob", "nearest", "rigid", "linear", "tail", "steady", "count", "rows")
+OTHERS = (*WHOLE, "broken", "clashing", "wrong_hook")
 """Distributions of other authors: one of each kind, and three that are faulty."""
 collect_ignore = list(OTHERS)
 

@@ -11,12 +11,18 @@ import pytest
 
 from measure.simulation import Still, write_session
 from measure.testing import example
-from tests.third_party.conftest import HERE, OTHERS, Environment
+from tests.third_party.conftest import HERE, WHOLE, Environment
 
 pytestmark = pytest.mark.slow
 
-WHOLE = OTHERS[:5]
-"""One plugin of each kind."""
+STEADY = """name = "steady"
+detector = "blob"
+triangulator = "reprojection"
+solver = "kabsch"
+tracking = "steady"
+per_image_timestamps = true
+smoothing = false
+"""
 WITHOUT_CLASH = ("--disable", "acme-clashing")
 
 
@@ -43,7 +49,7 @@ def test_a_plugin_is_listed_beside_the_built_ins(environment: Environment):
     assert blob["distribution"] == {"name": "acme-blob", "version": "0.3.1"}
     assert blob["summary"] == "Patches of a ball's colour by connected components."
     owners = {p["distribution"]["name"] for p in plugins}
-    assert owners == {"triball", *(f"acme-{name}" for name in WHOLE)}
+    assert owners == {"triball", *(f"acme-{name}" for name in WHOLE)} - {"acme-count", "acme-rows"}
 
 
 def test_its_settings_are_shown(environment: Environment):
@@ -91,13 +97,19 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "stages", [("--solver", "kabsch"), ("--triangulator", "nearest", "--solver", "rigid")]
+    "stages",
+    [
+        ("--solver", "kabsch"),
+        ("--triangulator", "nearest", "--solver", "rigid"),
+        ("--solver", "kabsch", "--profile", "steady.toml"),
+    ],
 )
 def test_plugins_measure_a_recording(
     environment: Environment, session, tmp_path, stages, monkeypatch
 ):
     # Compiling hot loops once more, in another place, would cost more than running them as Python.
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    (environment.folder / "steady.toml").write_text(STEADY)
     done = environment.measure(
         *("run", str(session), "--out", str(tmp_path / "run"), *stages),
         *("--detector", "blob", "--set", "detector.roundness=0.7", "--no-recording", "--json"),
@@ -115,6 +127,36 @@ def test_plugins_measure_a_recording(
         off = np.linalg.norm(position - example().world_from_body.translation)
         assert off < 3, f"{off:.2f} mm off"
     assert "acme-blob" in (tmp_path / "run" / "run.toml").read_text()
+
+
+def test_a_command_is_listed_and_runs(environment: Environment, session, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    words = ("run", str(session), "-o", str(tmp_path / "run"), "--profile", "paper")
+    assert environment.measure(*words, "--no-recording", *WITHOUT_CLASH).returncode == 0
+    assert "count    Count the poses of runs." in environment.measure("--help").stdout
+    counted = environment.measure_json("count", str(tmp_path / "run"))
+    assert counted == {str(tmp_path / "run"): 2}
+
+
+def test_a_format_is_read_and_written(environment: Environment, session, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    code = (
+        "import sys; from measure import api\n"
+        "read, out = api.read_calibration, sys.argv[2]\n"
+        "api.write_calibration(out, read(sys.argv[1]), 'rows')\n"
+        "print(read(out).names == read(sys.argv[1]).names)"
+    )
+    given = (str(session / "calibration.toml"), str(tmp_path / "rig.rows"))
+    done = environment.run(environment.program("python"), "-c", code, *given)
+    assert done.stdout == "True\n", done.stderr
+    words = ("run", str(session), "-o", str(tmp_path / "run"), "--profile", "paper")
+    assert environment.measure(*words, "--no-recording", *WITHOUT_CLASH).returncode == 0
+    done = environment.measure("export", str(tmp_path / "run"), "--format", "rows")
+    assert done.returncode == 0, done.stderr
+    lines = (tmp_path / "run" / "export.rows").read_text().splitlines()
+    assert [set(json.loads(line)) for line in lines] == [
+        {"body", "time_s", "x_mm", "y_mm", "z_mm"}
+    ] * 2
 
 
 def test_an_estimator_learns_and_its_model_runs_without_it(environment: Environment, tmp_path):

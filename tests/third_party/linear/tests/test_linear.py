@@ -1,6 +1,6 @@
 from acme_linear import LinearEstimator
 
-from measure.testing import EstimatorConformance
+from measure_learning.testing import EstimatorConformance
 
 
 class TestLinear(EstimatorConformance):

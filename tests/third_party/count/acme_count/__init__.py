@@ -1,0 +1,1 @@
+"""A package that adds one command to `measure`."""

@@ -1,0 +1,5 @@
+from measure.testing import CommandConformance
+
+
+class TestCount(CommandConformance):
+    name = "count"
