@@ -20,7 +20,7 @@ _SAME_PX, _MARGIN, _LEAST_FOCAL = 0.1, 1.1, 0.1
 
 
 def read_xml(path: Path, text: str) -> StatedRig | None:
-    """The calibrated cameras of a file, lengths in mm; None if it holds none, or CalibrationError."""
+    """The calibrated cameras of a file, lengths in mm; None if there are none, CalibrationError."""
     try:
         if "<!DOCTYPE" in text:  # entities may be of any size
             raise ET.ParseError("it has a DOCTYPE")

@@ -31,8 +31,8 @@ from measure_learning.robots.raven import FIELDS
 from measure_learning.simulator import simulate
 from tests.faults import mutating
 from tests.faults.mutating import BINARY, TEXT, Mutation
+from tests.learning.robots.test_logs import RAVEN_STATE, _write_counted
 from tests.results.conftest import CAMERAS, PERIOD_S, measurement, open_writer, write_truth
-from tests.robots.test_logs import RAVEN_STATE, _write_counted
 from tests.session.conftest import write_recording
 from tests.simulated.capture import CaptureScene, write_capture
 from tests.simulated.catalogue import webcam_scene

@@ -155,7 +155,7 @@ def test_a_robot_like_a_known_one(tmp_path: Path) -> None:
 
 
 def test_the_files_of_the_documentation(tmp_path: Path) -> None:
-    page = Path(__file__).parents[2] / "docs" / "how_to" / "read_a_robots_log.md"
+    page = Path(__file__).parents[3] / "docs" / "how_to" / "read_a_robots_log.md"
     texts = re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     for text, names in zip(texts, (9, 5), strict=True):
         (tmp_path / "robot.toml").write_text(text)

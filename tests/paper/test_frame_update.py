@@ -12,7 +12,7 @@ from measure.host import Registry
 from measure.model.observations import Reason
 from measure_paper.simplex import SimplexSettings, SimplexSolver
 from measure_paper.tracking import FrameUpdate
-from tests.frame_update_rig import (
+from tests.paper.frame_update_rig import (
     CAMERAS,
     STEP_S,
     Run,
