@@ -100,8 +100,9 @@ def detect(
     for index, path in enumerate(pictures):
         data = picture_bytes(path)
         pixels, tags = decode_picture(data, str(path)), picture_tags(data)
-        size = pixels.shape[1], pixels.shape[0]
-        turn, camera = Orientation(size, 1 if stored else tags.orientation), cameras.of(*size, path)
+        height, width = pixels.shape[:2]
+        turn = Orientation((width, height), 1 if stored else tags.orientation)
+        camera = cameras.of(width, height, path)
         image = model.Image(camera.name, index, 0.0, partial(np.asarray, pixels))
         (camera,) = with_lateral_color([camera], [model.FrameSet(index, 0.0, {camera.name: image})])
         look = partial(_look, image, body, build, _stored(asked, turn))

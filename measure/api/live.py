@@ -108,11 +108,16 @@ def live(
         gathering = Gathering(list(rig.addresses), on_read=rig.note_read)
         takers = [gathering.add, *_recorders(stack, opened, sent, options.record)]
         sending = stack.enter_context(prepared.sending)
-        parts = sent.bodies, sent.cameras
-        given = out, prepared.made_from, *parts
-        writer = RunWriter(*given, overwrite=options.overwrite, reference=sent.reference)
+        writer = RunWriter(
+            out,
+            prepared.made_from,
+            sent.bodies,
+            sent.cameras,
+            overwrite=options.overwrite,
+            reference=sent.reference,
+        )
         stack.enter_context(writer).begin()
-        log = stack.enter_context(RunLog(sent.name, *parts, out, options))
+        log = stack.enter_context(RunLog(sent.name, sent.bodies, sent.cameras, out, options))
 
         def on_mark(time_s: float, what: str) -> None:
             mark_event(out, what, time_s)

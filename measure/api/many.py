@@ -35,7 +35,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class _Job:
+class _RecordingJob:
     """One recording, as it travels to a worker."""
 
     session: Path
@@ -77,9 +77,15 @@ def run_many(
             "measure them separately, or rename a folder"
         )
     with _scratch(out) as scratch:
-        given = profile, registry, options or RunOptions()
         jobs = [
-            _Job(Path(session).resolve(), out.resolve() / name, *given, scratch / name)
+            _RecordingJob(
+                Path(session).resolve(),
+                out.resolve() / name,
+                profile,
+                registry,
+                options or RunOptions(),
+                started=scratch / name,
+            )
             for session, name in zip(sessions, names, strict=True)
         ]
         finished = _on_cluster(jobs, cluster) if cluster else _on_this_machine(jobs, workers)
@@ -103,7 +109,7 @@ def _scratch(out: Path) -> Iterator[Path]:
         yield folder
 
 
-def _measure(job: _Job) -> Outcome:
+def _measure(job: _RecordingJob) -> Outcome:
     """Measure one recording; runs in a worker, maybe for the second time."""
     import cv2
 
@@ -123,7 +129,7 @@ def _measure(job: _Job) -> Outcome:
     return Outcome(job.session, job.run, summary)
 
 
-def _on_this_machine(jobs: Sequence[_Job], workers: int | None) -> Iterator[Outcome]:
+def _on_this_machine(jobs: Sequence[_RecordingJob], workers: int | None) -> Iterator[Outcome]:
     """By processes; after a process was killed, the rest goes on in new ones."""
     _compile_once(jobs)
     left = list(jobs)
@@ -148,7 +154,7 @@ def _on_this_machine(jobs: Sequence[_Job], workers: int | None) -> Iterator[Outc
         )
 
 
-def _compile_once(jobs: Sequence[_Job]) -> None:
+def _compile_once(jobs: Sequence[_RecordingJob]) -> None:
     """Compile the hot loops before the processes start; failures are reported by the jobs."""
     for job in jobs:
         with suppress(MeasureError), job.options.open(job.session) as session:
@@ -157,12 +163,14 @@ def _compile_once(jobs: Sequence[_Job]) -> None:
 
 
 def _in_processes(
-    jobs: Sequence[_Job], workers: int | None
-) -> Iterator[tuple[_Job, Outcome | None]]:
+    jobs: Sequence[_RecordingJob], workers: int | None
+) -> Iterator[tuple[_RecordingJob, Outcome | None]]:
     """Each job with its outcome, or None if its process was killed."""
     count = max(1, min(workers or usable_cores(), len(jobs)))
     with processes(count) as pool:
-        waiting: dict[Future[Outcome], _Job] = {pool.submit(_measure, job): job for job in jobs}
+        waiting: dict[Future[Outcome], _RecordingJob] = {
+            pool.submit(_measure, job): job for job in jobs
+        }
         for future in as_completed(waiting):
             try:
                 yield waiting[future], future.result()
@@ -170,7 +178,7 @@ def _in_processes(
                 yield waiting[future], None
 
 
-def _on_cluster(jobs: Sequence[_Job], address: str) -> Iterator[Outcome]:
+def _on_cluster(jobs: Sequence[_RecordingJob], address: str) -> Iterator[Outcome]:
     """By a dask scheduler, which gives a lost worker's task to another one."""
     with connected(address, "--cluster") as (client, distributed):
         waiting = {client.submit(_measure, job, pure=False): job for job in jobs}

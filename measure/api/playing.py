@@ -124,12 +124,12 @@ class Reel:
         if not first.poses.num_rows:
             raise RunError(f"{first.path} holds no frame set to play")
         self.times_s, self._runs, reference = first.times_s, runs, ""
-        self._tracks = [_Track(run.poses, run.body.name) for run in runs]
+        self._tracks = [_PlayedBody(run.poses, run.body.name) for run in runs]
         if not is_missing(first.path, "relative"):
             table = first.relative()
             pairs = zip(table[BODY].to_pylist(), table["reference"].to_pylist(), strict=True)
             for name, reference in dict.fromkeys(pairs):
-                self._tracks.append(_Track(rows_of_body(table, name), name, reference))
+                self._tracks.append(_PlayedBody(rows_of_body(table, name), name, reference))
         bodies = tuple(run.body for run in runs)
         self._marks = sorted(events(first.path))
         self.run = SentRun(first.path.resolve().name, bodies, first.cameras, reference)
@@ -143,8 +143,15 @@ class Reel:
             for row in run.balls.to_pylist():
                 center = np.array([row[axis] for axis in PLACE[:3]])
                 spread = np.reshape(row["covariance_mm2"], (3, 3))
-                known = row["ball"], row["time_s"], center, spread, tuple(row["cameras"])
-                out[-1][row["index"]].append(BallPosition(*known, np.zeros(0)))
+                ball = BallPosition(
+                    row["ball"],
+                    row["time_s"],
+                    center,
+                    spread,
+                    cameras=tuple(row["cameras"]),
+                    residuals_mm=np.zeros(0),
+                )
+                out[-1][row["index"]].append(ball)
         return out
 
     def poses(self, number: int, exposed_s: float) -> list[SentPose]:
@@ -174,7 +181,7 @@ class Reel:
         ]
 
 
-class _Track:
+class _PlayedBody:
     """The stored poses of a body, perhaps relative to another."""
 
     def __init__(self, table: pa.Table, body: str, reference: str = "") -> None:
@@ -198,5 +205,14 @@ class _Track:
                 tuple(row["balls"]),
                 tuple(row["flags"]),
             )
-        head = self._body, self._reference, row["index"], row["time_s"], exposed_s, time.time()
-        return SentPose(*head, row["status"], row["reason"], pose)
+        return SentPose(
+            self._body,
+            self._reference,
+            row["index"],
+            row["time_s"],
+            exposed_s=exposed_s,
+            known_s=time.time(),
+            status=row["status"],
+            reason=row["reason"],
+            pose=pose,
+        )

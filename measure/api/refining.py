@@ -79,14 +79,13 @@ def refine(
     chosen = lenient(load_profile(profile))
     with open_session(session, calibration=calibration) as opened:
         joint = joint_covariance(opened)
-        given = (opened.cameras, opened.body)
         measured, sized = measure_all(opened, chosen, registry, progress)
-        rough = rough_cameras(*given, measured, settings, joint)
+        rough = rough_cameras(opened.cameras, opened.body, measured, settings, joint)
         if rough is not None:
             _log.warning("the cameras disagree much: measuring again with roughly refined ones")
             again = replace(opened, cameras=rough)
             measured, sized = measure_all(again, chosen, registry, progress)
-        rig = refine_measured(*given, measured, settings, joint)
+        rig = refine_measured(opened.cameras, opened.body, measured, settings, joint)
         clocks = clock_values(opened.clock_digest, _shifts(rig, opened.clock_shifts_s))
     notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
     values = _provenance(str(session), rig) | clocks | {"notes": list(notes)}

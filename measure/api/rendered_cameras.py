@@ -59,14 +59,14 @@ def demo_cameras(
     desk.mkdir(parents=True)
     with ExitStack() as stack:
         reels = {act: _reel(act, stack.enter_context(open_streams(acts[act]))) for act in acts}
-        stage = _Stage(reels, desk)
+        stage = _HeldStage(reels, desk)
         stack.callback(stage.over.set)
         names = next(iter(reels.values())).streams
         feeds = {name: partial(stage.parts, name) for name in names}
         yield desk, stack.enter_context(serve_cameras(feeds))
 
 
-class _Stage:
+class _HeldStage:
     """What the cameras see now, by what the rig's folder holds."""
 
     def __init__(self, reels: Mapping[str, Reel], desk: Path) -> None:

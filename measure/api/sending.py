@@ -85,9 +85,17 @@ def sent_pose(
         known_s: the time now on that clock, which goes on evenly while the machine's is set; by
             default the machine's.
     """
-    known_s = time.time() if known_s is None else known_s
-    head = body, reference, measured.index, measured.time_s, measured.time_s, known_s
-    return SentPose(*head, measured.status.value, measured.doubts, measured.pose)
+    return SentPose(
+        body,
+        reference,
+        measured.index,
+        measured.time_s,
+        exposed_s=measured.time_s,
+        known_s=time.time() if known_s is None else known_s,
+        status=measured.status.value,
+        reason=measured.doubts,
+        pose=measured.pose,
+    )
 
 
 class Sending:

@@ -107,7 +107,7 @@ def progress(
 def _bar(label: str, unit: str, out: TextIO) -> Iterator[Progress]:
     from rich import progress as rich_progress
 
-    columns = (
+    with rich_progress.Progress(
         rich_progress.TextColumn("{task.description}"),
         rich_progress.BarColumn(),
         rich_progress.MofNCompleteColumn(),
@@ -115,8 +115,9 @@ def _bar(label: str, unit: str, out: TextIO) -> Iterator[Progress]:
         rich_progress.TimeElapsedColumn(),
         rich_progress.TextColumn("left"),
         rich_progress.TimeRemainingColumn(),
-    )
-    with rich_progress.Progress(*columns, console=Console(file=out), transient=True) as bar:
+        console=Console(file=out),
+        transient=True,
+    ) as bar:
         task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 

@@ -93,8 +93,8 @@ def live(
     given = api.parse_cameras(cameras, api.camera_names(calibration))
     for line in api.usb_notes(given, calibration, request):
         console.note(line)
-    shown = options, _StateLines()
-    end = api.live(given, to.out, calibration, bodies.body, chosen, registry, *shown)
+    lines = _StateLines()
+    end = api.live(given, to.out, calibration, bodies.body, chosen, registry, options, lines)
     if json:
         console.print_json({"run": str(to.out), **end.summary.values(), **_numbers(end)})
     else:

@@ -58,8 +58,9 @@ def play(
         from measure.viewing.viewer import open_viewer
 
         viewer = open_viewer([]).listens
-    to = send, set_, console.note
-    options = api.PlayOptions(*to, rate=rate, loop=loop, wait_s=wait_s, viewer=viewer)
+    options = api.PlayOptions(
+        send, set_, console.note, rate=rate, loop=loop, wait_s=wait_s, viewer=viewer
+    )
     end = api.play(run, registry, options)
     if json:
         console.print_json({"run": str(run), **vars(end)})

@@ -71,9 +71,17 @@ def run(
     if not sessions:
         raise ConfigError("no session to measure: give its folder")
     if len(sessions) > 1 or execution.cluster is not None:
-        where = execution.workers, execution.cluster
         with console.progress("measuring", "recordings") as report:
-            outcomes = api.run_many(sessions, out, chosen, registry, options, *where, report)
+            outcomes = api.run_many(
+                sessions,
+                out,
+                chosen,
+                registry,
+                options,
+                workers=execution.workers,
+                cluster=execution.cluster,
+                progress=report,
+            )
         return _print_outcomes(outcomes, out, json)
     with console.progress("measuring") as report:
         summary = api.run(sessions[0], out, chosen, registry, options, report, console.note)

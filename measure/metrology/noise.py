@@ -154,7 +154,7 @@ class SmoothMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class _Window:
+class _NoiseWindow:
     rows: slice
     weights: Floats  # (2, m) of its poses in the pose and in the velocity
     move: Floats  # (2, 6) of the pose in its chart, and velocity
@@ -193,7 +193,7 @@ def smooth_motion(poses: PoseTable, shared: SharedErrors, seconds: float) -> Smo
     return SmoothMotion(smooth, velocities, spread)
 
 
-def _window(poses: PoseTable, k: int, seconds: float) -> _Window | None:
+def _window(poses: PoseTable, k: int, seconds: float) -> _NoiseWindow | None:
     t = poses.times_s
     first, last = np.searchsorted(t, [t[k] - seconds * (1 + 1e-9), t[k] + seconds * (1 + 1e-9)])
     pauses = np.flatnonzero(np.diff(t[first:last]) > seconds) + first
@@ -211,10 +211,10 @@ def _window(poses: PoseTable, k: int, seconds: float) -> _Window | None:
     about = residuals.T @ residuals / (len(lead) - _DEGREE - 1)
     weights = inverse[:2] / [[1.0], [seconds]]
     finer = np.linalg.pinv(np.vander(lead, _DEGREE + 3, increasing=True))[:2] / [[1.0], [seconds]]
-    return _Window(rows, weights, weights @ path, (finer - weights) @ path, about, share)
+    return _NoiseWindow(rows, weights, weights @ path, (finer - weights) @ path, about, share)
 
 
-def _own_errors(poses: PoseTable, window: _Window, scatter: float) -> tuple[Floats, Floats]:
+def _own_errors(poses: PoseTable, window: _NoiseWindow, scatter: float) -> tuple[Floats, Floats]:
     """Covariances (2, 6, 6) of pose and velocity by noise, and where the motion is no cubic."""
     stated = poses.covariances[window.rows]
     noise = scatter * np.einsum("wn,nij->wij", window.weights**2, stated)

@@ -88,8 +88,13 @@ class Intrinsics:
         """As compiled code takes a camera that stands at the origin."""
         from measure.model.rig import RigRows
 
-        place = np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 18, 18))
-        return RigRows(self.row[None], np.array([self.reach]), *place)
+        return RigRows(
+            lenses=self.row[None],
+            reach=np.array([self.reach]),
+            rotation=np.eye(3)[None],
+            centers=np.zeros((1, 3)),
+            covariances=np.zeros((1, 18, 18)),
+        )
 
     def project_with_jacobians(self, points_camera: ArrayLike) -> tuple[Floats, Floats, Floats]:
         """Project, with analytic derivatives.

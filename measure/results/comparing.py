@@ -123,8 +123,8 @@ def _figure(
         return Figure(what, np.nan, np.nan, np.nan, np.nan, stated_sd)
     off = [part - part.mean() for part in known]
     variance = sum(part.var(ddof=1) / independent_count(part[:, None]) for part in off)
-    means = float(np.nanmean(first)), float(np.nanmean(second))
-    return Figure(what, *means, means[1] - means[0], float(np.sqrt(variance)), stated_sd)
+    mean, other = float(np.nanmean(first)), float(np.nanmean(second))
+    return Figure(what, mean, other, other - mean, float(np.sqrt(variance)), stated_sd)
 
 
 def _ball_figures(first: Run, second: Run) -> Iterator[Figure]:

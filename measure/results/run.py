@@ -53,8 +53,8 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        known = (self.body, self.cameras, self.distances, self.detections, self.poses)
-        return summarise(self.detections, self.poses, notes, body_notes(*known))
+        about = body_notes(self.body, self.cameras, self.distances, self.detections, self.poses)
+        return summarise(self.detections, self.poses, notes, about)
 
     @cached_property
     def distances(self) -> list[BallDistance]:

@@ -22,7 +22,7 @@ class StatedTransform(FileModel):
         return RigidTransform.from_quat_wxyz(self.quat_wxyz, self.translation_mm)
 
 
-class _File(FileModel):
+class _FrameFile(FileModel):
     model_config = ConfigDict(extra="ignore")
 
     world_from_base: StatedTransform
@@ -30,4 +30,4 @@ class _File(FileModel):
 
 def read_robot_base(path: Path) -> RigidTransform:
     """`world_from_base` of a `frame.toml`; EstimatorError: missing or wrong, with the line."""
-    return load_toml(path, _File, EstimatorError).world_from_base.transform()
+    return load_toml(path, _FrameFile, EstimatorError).world_from_base.transform()

@@ -105,9 +105,17 @@ def _vicon(rows: list[list[str]]) -> dict[str, TrackedBody]:
             if quaternion
             else partial(_of_turn, partial(Rotation.from_rotvec, degrees=in_deg))
         )
-        given = rows, head + 1, [0], [1 / rate], turns, to_quat, [start, start + 1, start + 2]
-        # Frames count from 1.
-        body = TrackedBody(*given, _unit_mm(units[start]), begin_s=1 / rate)
+        body = TrackedBody(
+            rows,
+            head + 1,
+            times=[0],
+            units_s=[1 / rate],
+            turns=turns,
+            quat_wxyz=to_quat,
+            places=[start, start + 1, start + 2],
+            unit_mm=_unit_mm(units[start]),
+            begin_s=1 / rate,  # frames count from 1
+        )
         out[name.removeprefix("Global Angle ")] = body
     return out
 

@@ -197,7 +197,7 @@ _STRIDE = 4  # Stride of the pixels tested: segments are larger
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class CircleWindow:
     """A part of a picture."""
 
     origin: tuple[int, int]  # where it starts (x, y)
@@ -210,7 +210,7 @@ Region = tuple[slice, slice]
 """Rows and columns of a window."""
 
 
-def cut(bgr: Bytes, low: Floats, high: Floats) -> Window | None:
+def cut(bgr: Bytes, low: Floats, high: Floats) -> CircleWindow | None:
     """The part of a picture between two corners (x, y); None if nothing of it is left."""
     size = np.array([bgr.shape[1], bgr.shape[0]])
     x0, y0 = np.clip(np.floor(low), 0, size).astype(int)
@@ -218,7 +218,7 @@ def cut(bgr: Bytes, low: Floats, high: Floats) -> Window | None:
     if x1 - x0 < 3 or y1 - y0 < 3:
         return None
     pixels = np.ascontiguousarray(bgr[y0:y1, x0:x1])
-    return Window((int(x0), int(y0)), ConvertedImage(pixels))
+    return CircleWindow((int(x0), int(y0)), ConvertedImage(pixels))
 
 
 def regions(segments: Bytes, smallest_px: float, margin_px: float) -> list[Region]:

@@ -17,7 +17,15 @@ from measure.errors import ConfigError
 from measure.host import Detector, Settings, hookimpl, setting
 from measure.model import Ball, Body, Camera, ConvertedImage, Detection, Expectation, Image
 from measure_paper import _hough_steps as steps
-from measure_paper._hough_steps import Find, HoughSearch, Window, cut, finder, regions, tune_blur
+from measure_paper._hough_steps import (
+    CircleWindow,
+    Find,
+    HoughSearch,
+    cut,
+    finder,
+    regions,
+    tune_blur,
+)
 
 _SAME_COLOR_SHARE = 0.5
 """Two colours of which one covers this share of the other cannot be told apart."""
@@ -128,7 +136,7 @@ class HoughDetector(Detector):
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Find each ball in its window, or all over the picture; see `Detector.detect`."""
         by_ball = {expectation.ball: expectation for expectation in expected}
-        whole = Window((0, 0), ConvertedImage(image.pixels))
+        whole = CircleWindow((0, 0), ConvertedImage(image.pixels))
         found = []
         for ball in self.body.balls:
             expectation = by_ball.get(ball.name)
@@ -151,7 +159,7 @@ class HoughDetector(Detector):
         )
         return self._circles(ball, image, window, search)
 
-    def _searched(self, ball: Ball, image: Image, whole: Window) -> list[Detection]:
+    def _searched(self, ball: Ball, image: Image, whole: CircleWindow) -> list[Detection]:
         radius_px = self._plausible_radii(ball)
         search = HoughSearch(
             radius_px,
@@ -169,7 +177,7 @@ class HoughDetector(Detector):
         radii = focal * ball.radius_mm / np.sqrt(ranges**2 - ball.radius_mm**2)
         return float(radii[0]), float(min(radii[1], max(self.camera.intrinsics.size_wh) / 2))
 
-    def _edges(self, window: Window, sigma_px: float) -> Bytes:
+    def _edges(self, window: CircleWindow, sigma_px: float) -> Bytes:
         """Steps 1 to 3, once per window and blur."""
         if sigma_px not in window.edges:
             window.edges[sigma_px] = steps.gray_edges(
@@ -178,7 +186,7 @@ class HoughDetector(Detector):
         return window.edges[sigma_px]
 
     def _circles(
-        self, ball: Ball, image: Image, window: Window, search: HoughSearch
+        self, ball: Ball, image: Image, window: CircleWindow, search: HoughSearch
     ) -> list[Detection]:
         """Steps 4 to 8 in one window."""
         config = self.config
@@ -214,7 +222,7 @@ class HoughDetector(Detector):
         ]
 
     def _detection(
-        self, ball: Ball, image: Image, window: Window, channel: Bytes, circle: Floats
+        self, ball: Ball, image: Image, window: CircleWindow, channel: Bytes, circle: Floats
     ) -> Detection:
         share = steps.color_share(channel, circle, self.config.color_samples, (0.75, 0.9))
         # The less of the border is seen, the less the votes hold the centre.

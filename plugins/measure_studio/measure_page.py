@@ -103,8 +103,16 @@ class _Live:
                 if self.viewer and bench.local:
                     bench.viewer, listens = stack.enter_context(api.web_viewer())
                     made = replace(made, viewer=listens, image_every=10)
-                to = run, calibrations[0], bodies, profile, bench.registry, made
-                summary = api.live(cameras, *to, self._hear).summary
+                summary = api.live(
+                    cameras,
+                    run,
+                    calibrations[0],
+                    bodies,
+                    profile,
+                    bench.registry,
+                    options=made,
+                    on_state=self._hear,
+                ).summary
             self.session, self.report = options.record, api.report(run)
             return f"{run.name}: {summary.frame_sets} frame sets, {summary.ok} of them believed"
 

@@ -81,7 +81,7 @@ def test_processes_share_what_the_first_has_compiled(monkeypatch, tmp_path):
     monkeypatch.setattr(many, "warm_pipeline", lambda *what: warmed.append(what[2]))
     good = write_recording(tmp_path / "good").path
     jobs = [
-        many._Job(path, tmp_path / "run", None, None, RunOptions(), tmp_path / "begun")
+        many._RecordingJob(path, tmp_path / "run", None, None, RunOptions(), tmp_path / "begun")
         for path in (tmp_path / "none", good, good)
     ]
     many._compile_once(jobs)

@@ -12,8 +12,8 @@ import pytest
 
 from measure import api
 from measure.cli import build_app, main
-from measure.cli.app import GROUPS
 from measure.errors import CalibrationError, ConfigError, PluginError
+from measure.neighbours import commands
 from measure.session import Calibration
 
 RUN, RECORDING = "run.toml", "session.toml"
@@ -57,8 +57,7 @@ def test_every_command_with_an_output_is_here_and_says_the_same() -> None:
             for a in app[name].assemble_argument_collection(parse_docstring=True)
             for o in a.names
         }
-        for commands in GROUPS.values()
-        for name in commands
+        for name in commands()
     }
     assert {name for name, known in options.items() if "--out" in known} == COMMANDS.keys()
     for name in COMMANDS:

@@ -60,8 +60,9 @@ def world(
     """
     with api.output(out, overwrite) as file:
         if where.run is not None and board is None and pictures is None:
-            how = where.run, where.at, where.rest, where.points, where.body
-            found, place = lab.world(calibration, *how)
+            found, place = lab.world(
+                calibration, where.run, where.at, where.rest, where.points, where.body
+            )
         elif where.run is None and board is not None and pictures is not None:
             found, place = lab.world_by_board(calibration, board, pictures)
         else:

@@ -73,7 +73,7 @@ class RobotFrame:
         )
 
 
-class _File(FileModel):
+class _RegisteredFile(FileModel):
     robot: str
     clock_offset_s: FiniteFloat | dict[str, FiniteFloat]
     covariance_order: list[str]
@@ -91,7 +91,7 @@ def write_frame(path: Path, frame: RobotFrame) -> None:
 
 def read_frame(path: Path) -> RobotFrame:
     """Read a `frame.toml`; EstimatorError if it is missing or does not fit, with the line."""
-    file = load_toml(path, _File, EstimatorError)
+    file = load_toml(path, _RegisteredFile, EstimatorError)
     clocks = file.clock_offset_s
     return RobotFrame(
         file.robot,

@@ -83,14 +83,14 @@ class UdpSink(Sink):
         """The pose in single precision, as every program of OSC reads it."""
         words = [self._words.get(one, one) for one in (pose.body, pose.reference) if one]
         path = "/".join(("/triball", *words))
-        start = pose.frame, ("d", pose.time_s)
+        frame, time_s = pose.frame, ("d", pose.time_s)
         if pose.pose is None:
-            self._send(self._message(f"{path}/lost", *start, pose.status, pose.reason))
+            self._send(self._message(f"{path}/lost", frame, time_s, pose.status, pose.reason))
         else:
             place = pose.pose.world_from_body
             sds = pose.pose.position_sd_mm, pose.pose.rotation_sd_deg
             numbers = map(float, (*place.translation, *place.quat_wxyz, *sds))
-            self._send(self._message(f"{path}/pose", *start, *numbers, pose.status))
+            self._send(self._message(f"{path}/pose", frame, time_s, *numbers, pose.status))
 
     def _message(self, path: str, *values: Any) -> bytes:
         """An OSC message; a value may be a pair of its type and itself."""
