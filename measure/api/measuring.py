@@ -7,6 +7,9 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from itertools import islice
+
+import numpy as np
 
 from measure.api.profiles import build_pipeline
 from measure.api.warming_up import warm_pipeline
@@ -15,6 +18,9 @@ from measure.measuring import Measurement, Pipeline, Profile, measure_together
 from measure.measuring.burn_in import calibrated
 from measure.model import Body, Detection, FrameSet
 from measure.session import Session
+
+RUN_UP_S = 5.0
+"""What trackers and detectors know at any time they have from little more than the last seconds."""
 
 
 def measure_session(
@@ -27,11 +33,18 @@ def measure_session(
 
 
 def measure_bodies(
-    session: Session, profile: Profile, registry: Registry
+    session: Session, profile: Profile, registry: Registry, start: int = 0
 ) -> Iterator[tuple[FrameSet, tuple[Measurement, ...]]]:
-    """`measure_session` for all of `session.bodies`, in order, each with its own pipeline."""
+    """`measure_session` for all of `session.bodies`, in order, each with its own pipeline.
+
+    From frame set `start` on: detectors calibrate themselves on the first ones all the same, and
+    trackers have a run-up, of which nothing is yielded.
+    """
     pipelines = [calibrated_pipeline(session, profile, registry, body) for body in session.bodies]
-    yield from measure_frame_sets(pipelines, session.frame_sets())
+    times_s = session.pair().times_s
+    run_up = int(np.searchsorted(times_s, times_s[start] - RUN_UP_S)) if start else 0
+    measured = measure_frame_sets(pipelines, session.frame_sets(start=run_up))
+    yield from islice(measured, start - run_up, None)
 
 
 def measure_frame_sets(

@@ -21,7 +21,7 @@ from measure.measuring.profile import Stage
 from measure.model import Body
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress, quiet
-from measure.results import Provenance, RunWriter, Summary, check_run_folder, digest, read_runs
+from measure.results import Provenance, RunWriter, Summary, check_run_folder, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
 
 _FIRST_FRAME_SETS = 3  # Frame sets that are looked at for colour before a run
@@ -31,8 +31,7 @@ _FIRST_FRAME_SETS = 3  # Frame sets that are looked at for colour before a run
 class RunOptions(LogOptions):
     """How a run is written, beside its recording."""
 
-    # go on with an earlier run of the same, which is measured again as far as it came.
-    resume: bool = False
+    resume: bool = False  # go on with an earlier run of the same, where it ended
     overwrite: bool = False  # throw an earlier run away
     calibration: Path | None = None  # a calibration file to use instead of the session's own
     # a body file to use instead of the session's own, or several.
@@ -66,12 +65,13 @@ def run(
 ) -> Summary:
     """Measure a session; every frame set becomes a row of the run, with or without a pose.
 
-    A run that is resumed is measured from its start again: what trackers and detectors have learnt
-    from the first frame sets counts for all later ones. It comes out as if never interrupted.
+    A run that is resumed keeps its rows. Detectors calibrate themselves on the first frame sets
+    again, and the last seconds of what is kept are measured once more as a run-up (`RUN_UP_S`):
+    the poses that follow are those of an undisturbed run to within a small part of their error.
 
     Args:
         session_path: the session's folder, which is only read.
-        on_note: called with a line that says what resuming the run costs, or mends.
+        on_note: called with a line that says where a run is resumed, or what of it is mended.
 
     Raises:
         MeasureError: whatever is wrong with the session, calibration, plugins or settings; what was
@@ -84,25 +84,20 @@ def run(
         total = len(session.pair().times_s)
         options.check_viewer()
         made_from = _of_session(session, profile, registry)
-        given = out, made_from, session.bodies, session.cameras, options.resume, options.overwrite
-        writer = stack.enter_context(RunWriter(*given, session.reference))
-        if writer.is_complete(total):
-            summary = writer.finish()
-            _mend_recording(session, out, options, on_note)
-            return summary
-        if writer.kept:
-            on_note(
-                f"measuring {min(writer.kept, total)} kept of {total} frame sets again, so that "
-                "the rest comes out as if never interrupted"
-            )
-        measured = measure_bodies(session, profile, registry)
+        writer = stack.enter_context(_writer(session, out, made_from, options))
+        kept = writer.kept
+        if kept:
+            on_note(f"resumed at frame set {kept} of {total}")
+        measured = measure_bodies(session, profile, registry, kept) if kept < total else iter(())
         # Stages that do not fit together or fail at the very first picture are met here: before a
         # folder is made, or an earlier run lost.
         first = list(islice(measured, 1))
+        options = _recording_due(replace(options, frame_sets=total), out, kept, on_note)
+        reel = Reel(writer.kept_runs) if kept and options.wanted else None
         writer.begin()
-        log = stack.enter_context(
-            _log(session, out, replace(options, frame_sets=total), writer.kept)
-        )
+        log = stack.enter_context(_log(session, out, options, kept))
+        for number in range(kept if reel else 0):
+            log.add(reel.measurements(number))
         for frame_set, measurements in chain(first, measured):
             writer.append(*measurements)
             log.add(measurements, frame_set)
@@ -158,6 +153,18 @@ def _of_session(session: Session, profile: Profile, registry: Registry) -> Prove
     )
 
 
+def _writer(session: Session, out: Path, made_from: Provenance, options: RunOptions) -> RunWriter:
+    return RunWriter(
+        out,
+        made_from,
+        session.bodies,
+        session.cameras,
+        resume=options.resume,
+        overwrite=options.overwrite,
+        reference=session.reference,
+    )
+
+
 def _without_color(session: Session) -> Iterator[str]:
     """One line for each camera whose first pictures have no colour, though they have channels."""
     count = ColorlessCount()
@@ -202,29 +209,23 @@ def _log(session: Session, out: Path, options: RunOptions, kept: int) -> RunLog:
     return RunLog(*given, _truths(session), passed_videos(session) if options.image_every else {})
 
 
-def _mend_recording(
-    session: Session, out: Path, options: RunOptions, on_note: Callable[[str], None]
-) -> None:
-    """Make the recording of a finished run anew from its tables, if it is not whole."""
-    if not options.recording:
-        return
-    from measure.viewing.recording import is_whole
-
+def _recording_due(
+    options: RunOptions, out: Path, kept: int, on_note: Callable[[str], None]
+) -> RunOptions:
+    """The same, but without a recording where that of a finished run is whole."""
     path = out / "run.rrd"
-    if is_whole(path):
-        return
-    was = "damaged" if path.exists() else "not there"
-    reel = Reel(read_runs(out))
-    count = len(reel.times_s)
-    options = replace(options, image_every=0, viewer=None, frame_sets=count)
-    with _log(session, out, options, count) as log:
-        for number in range(count):
-            log.add(reel.measurements(number))
-        log.close()
+    if not (kept and options.recording):
+        return options
+    if kept == options.frame_sets:
+        from measure.viewing.recording import is_whole
+
+        if is_whole(path):
+            return replace(options, recording=False, viewer=None)
     on_note(
-        f"{path} was {was}: made anew from the tables, "
-        "without pictures and what was detected in them"
+        f"{path}: made anew from the tables up to there, without pictures and what was detected "
+        "in them"
     )
+    return options
 
 
 def _truths(session: Session) -> dict[str, Trajectory]:

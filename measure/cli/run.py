@@ -25,7 +25,7 @@ class _ExecutionOptions:
     """What happens to earlier runs, and where the work is done.
 
     Attributes:
-        resume: finish an interrupted run as if it never was; what it kept is measured again.
+        resume: go on with an interrupted run: what it kept stays, the rest is measured.
         workers: how many sessions to measure at a time; as many as there are cores.
         cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do the work.
     """

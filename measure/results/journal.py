@@ -59,16 +59,26 @@ def replacing(path: Path) -> Iterator[Path]:
         raise
 
 
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file in one step, so that also a power cut leaves this one or the one before."""
+    with replacing(path) as fresh, fresh.open("wb") as out:
+        out.write(data)
+        out.flush()
+        os.fsync(out.fileno())
+
+
 class GrowingFile:
     """A file that only grows, by whole pieces: one that does not fit leaves no trace.
 
-    It grows beside its place until `take_place`; closed before that it is gone, and what was there
-    before is as it was.
+    Args:
+        path: where it is; what was there before is replaced in one step.
+        start: what it begins with.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path, self._in_place = path, False
-        self._file: Any = unfinished(path).open("wb", buffering=0)
+    def __init__(self, path: Path, start: bytes) -> None:
+        self.path = path
+        write_whole(path, start)
+        self._file: Any = path.open("ab", buffering=0)
 
     def append(self, data: bytes) -> None:
         """Hand bytes to the operating system; after an OSError the file is as before."""
@@ -83,18 +93,9 @@ class GrowingFile:
             os.lseek(self._file.fileno(), start, os.SEEK_SET)
             raise
 
-    def take_place(self) -> None:
-        """Replace what was there before, in one step, and grow on there."""
-        self._file.close()  # not every system renames an open file
-        unfinished(self._path).replace(self._path)
-        self._in_place = True
-        self._file = self._path.open("ab", buffering=0)
-
     def close(self) -> None:
         """Close it; closing twice does no harm."""
         self._file.close()
-        if not self._in_place:
-            unfinished(self._path).unlink(missing_ok=True)
 
 
 class Journal(GrowingFile):
@@ -102,21 +103,16 @@ class Journal(GrowingFile):
 
     Args:
         path: the stream, `NAME.arrows`.
-        kept: rows that a resumed run begins with: those appended must be the same.
-        blame: why they might not be, in words.
+        kept: rows that it begins with, those of an earlier run that is resumed.
+        frame_sets: how many have all their rows in `kept`.
     """
 
-    def __init__(self, path: Path, schema: pa.Schema, kept: pa.Table, blame: str = "") -> None:
-        super().__init__(path)
-        self._schema = schema.with_metadata({_SEAL: "of each batch"})
-        self._kept, self._written, self._blame = kept, 0, blame
+    def __init__(self, path: Path, kept: pa.Table, frame_sets: int) -> None:
+        self._schema = kept.schema.with_metadata({_SEAL: "of each batch"})
         self._rows: list[dict[str, Any]] = []
-        self._frame_sets = 0
-        try:
-            self.append(bytes(self._schema.serialize()))
-        except OSError:
-            self.close()
-            raise
+        self._frame_sets = frame_sets
+        sealed = [self._sealed(batch, frame_sets) for batch in kept.combine_chunks().to_batches()]
+        super().__init__(path, b"".join([bytes(self._schema.serialize()), *sealed]))
 
     def add(self, rows: Sequence[dict[str, Any]]) -> None:
         """Take rows, which must not change any more; they are written by the next `flush`."""
@@ -130,28 +126,17 @@ class Journal(GrowingFile):
         """
         if frame_sets > self._frame_sets:
             batch = pa.RecordBatch.from_pylist(self._rows, self._schema)
-            self._refuse_other_rows(batch)
             self.append(self._sealed(batch, frame_sets))
             self._rows, self._frame_sets = [], frame_sets
-            self._written += batch.num_rows
 
     def _sealed(self, batch: pa.RecordBatch, frame_sets: int) -> bytes:
         """The bytes of a batch in the stream."""
+        # As it will be read: what was filtered or sliced has other buffers in memory.
+        batch = pa.ipc.read_record_batch(batch.serialize(), self._schema)
         out, facts = BytesIO(), {_SEAL: str(_checksum(batch)), _FRAME_SETS: str(frame_sets)}
         with pa.ipc.new_stream(out, self._schema) as stream:
             stream.write_batch(batch, custom_metadata=facts)
             return out.getvalue()[len(self._schema.serialize()) :]
-
-    def _refuse_other_rows(self, batch: pa.RecordBatch) -> None:
-        """Refuse rows that differ from those kept in their places, to the last digit."""
-        before = self._kept.slice(self._written, batch.num_rows).to_pylist()
-        for old, new in zip(before, batch.to_pylist(), strict=False):
-            # As text, for of unknown numbers (NaN) none equals another.
-            if str(old) != str(new):
-                raise RunError(
-                    f"{self._path.parent} cannot be resumed: frame set {new['index']} comes out "
-                    f"otherwise than before ({self._blame}): --overwrite starts anew"
-                )
 
 
 def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:

@@ -72,16 +72,6 @@ class Provenance:
         return changed
 
 
-def changed_versions(written: Mapping[str, Any]) -> list[str]:
-    """The libraries that an earlier run was made with in another version, by its `run.toml`."""
-    then = written.get("versions", {})
-    return [
-        f"{name} {then.get(name, 'unknown')} then, {now} now"
-        for name, now in versions().items()
-        if then.get(name) != now
-    ]
-
-
 def read_provenance(file: Path) -> dict[str, Any]:
     """The values of a run's `run.toml`; RunError: it is torn, or holds what no run writes."""
     try:

@@ -1,9 +1,8 @@
-"""The tables of a run folder, as far as they belong together; and what an interrupted run kept."""
+"""The tables of a run folder, as far as they belong together."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,8 @@ from measure.errors import RunError
 from measure.measuring import Status
 from measure.model import Body, Camera
 from measure.model.observations import Reason, State
-from measure.reading import check_ordinary
 from measure.results.journal import MEND, is_missing, read_begun_table
-from measure.results.provenance import Provenance, changed_versions, read_provenance
+from measure.results.provenance import Provenance, read_provenance
 from measure.results.tables import BODY, PLACE, numbers, schemas
 
 _Known = tuple[str, Sequence[str]]  # Words, and what they are: `in body.toml`
@@ -135,64 +133,10 @@ def _wrong_poses(poses: pa.Table) -> str:
     return "" if _all_numbers(covariances) else "a pose has no covariance"
 
 
-@dataclass(frozen=True, eq=False)
-class Kept:
-    """Rows of an earlier run, with which a resumed one must agree."""
-
-    tables: Mapping[str, pa.Table]  # by name
-    csv_rows: int = 0  # of `poses.csv`, which may be ahead of the tables
-    # whether the run was complete: all that may be missing is how it is stored.
-    closing: bool = False
-    blame: str = ""  # why a row might come out otherwise now
-    bodies: int = 1  # how many rows of poses a frame set has
-
-    @property
-    def frame_sets(self) -> int:
-        """How many are kept."""
-        return int(self.tables["poses"].num_rows) // self.bodies
-
-    @property
-    def csv_frame_sets(self) -> int:
-        """How many of `poses.csv`."""
-        return self.csv_rows // self.bodies
-
-
-def nothing_kept(bodies: int, relative: bool) -> Kept:
-    """Of a run that begins."""
-    tables = {name: schema.empty_table() for name, schema in schemas(bodies > 1, relative).items()}
-    return Kept(tables, bodies=bodies)
-
-
-def read_kept(
-    folder: Path,
-    provenance: Provenance,
-    bodies: Sequence[Body],
-    cameras: Sequence[Camera],
-    relative: bool = False,
-) -> Kept:
-    """Read what a run's folder keeps; RunError if it is one of something else, or damaged."""
-    written = refuse_other_run(folder, provenance)
-    closing = (folder / "summary.json").exists()
-    tables = read_tables(folder, bodies, cameras, not closing, relative)
-    changed = ", ".join(changed_versions(written)) or "another processor, or a damaged file"
-    return Kept(tables, csv_rows(folder / "poses.csv"), closing, changed, len(bodies))
-
-
-def refuse_other_run(folder: Path, provenance: Provenance) -> dict[str, object]:
-    """The values of a folder's `run.toml`; RunError if its run was made from something else."""
-    written = read_provenance(folder / "run.toml")
-    if changed := provenance.differences(written):
+def refuse_other_run(folder: Path, provenance: Provenance) -> None:
+    """Refuse (RunError) to go on with a run that was made from something else."""
+    if changed := provenance.differences(read_provenance(folder / "run.toml")):
         raise RunError(
             f"{folder} cannot be resumed: its run was made with other {', '.join(changed)}; "
             "--overwrite starts anew"
         )
-    return written
-
-
-def csv_rows(path: Path) -> int:
-    """How many whole rows `poses.csv` has; none if it is not there."""
-    if not path.exists():
-        return 0
-    check_ordinary(path, RunError)
-    with path.open("rb") as file:
-        return max(sum(line.endswith(b"\n") for line in file) - 1, 0)

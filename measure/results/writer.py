@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -26,8 +26,8 @@ from measure.results.journal import (
     writing,
 )
 from measure.results.provenance import Provenance
-from measure.results.run import runs_of
-from measure.results.stored import csv_rows, nothing_kept, read_kept, refuse_other_run
+from measure.results.run import Run, runs_of
+from measure.results.stored import read_tables, refuse_other_run
 from measure.results.summary import Summary, together
 from measure.results.tables import (
     BODY,
@@ -35,6 +35,7 @@ from measure.results.tables import (
     csv_columns,
     csv_heading,
     csv_line,
+    csv_lines,
     pose_row,
     rows_of,
     schemas,
@@ -49,8 +50,7 @@ class RunWriter:
 
     Whatever cannot be is refused when it is built. Entering it keeps other writers out. `begin`, or
     the first row, begins the run: only then are files written, and those of an earlier run thrown
-    away. A run that is resumed is appended from its first frame set on, and must come out as
-    before: its files grow beside those that are kept, and replace them once they hold as much.
+    away. A run that is resumed keeps its rows; what is appended then are those that follow.
 
     Args:
         folder: new, empty, or (with `resume` or `overwrite`) an earlier run.
@@ -86,23 +86,20 @@ class RunWriter:
         self._columns = {"poses": csv_columns(several)}
         self._columns |= {"relative": RELATIVE_COLUMNS} if relative else {}
         self._resume, self._overwrite, self._clock = resume, overwrite, clock
-        self._kept, self._appended = nothing_kept(len(self._bodies), relative), 0
+        self._tables = {name: schema.empty_table() for name, schema in self._schemas.items()}
+        self.kept = self._frame_sets = 0
         self._lock: FolderLock | None = None
         self._files = ExitStack()
-        self._begun = self._in_place = False
+        self._begun = False
         self._flushed_s = clock()
         check_run_folder(folder, resume, overwrite)
         if self._goes_on():
             refuse_other_run(folder, provenance)
 
     @property
-    def kept(self) -> int:
-        """How many frame sets are kept of an earlier run; they have to be measured again."""
-        return self._kept.frame_sets
-
-    def is_complete(self, total: int) -> bool:
-        """Whether an earlier run holds all of so many frame sets, and only has to be finished."""
-        return self._kept.closing and self.kept == total
+    def kept_runs(self) -> list[Run]:
+        """What is kept of an earlier run, of each body, until `begin`."""
+        return self._runs(self._tables, finished=False)
 
     def __enter__(self) -> Self:
         with writing(self._folder):
@@ -142,14 +139,14 @@ class RunWriter:
                     file.write_text(dump_toml(self._provenance.values()), "utf-8")
             self._write_copies()
             self._open_files()
+            # Only now: of a run that was only begun tables may be missing.
+            (self._folder / "summary.json").unlink(missing_ok=True)
             self._begun = True
-            self._take_place_if(not self.kept and not self._kept.csv_frame_sets)
 
     def append(self, *measured: Measurement) -> None:
         """Write a frame set's measurements, one of each body; it must be the next.
 
-        RunError: it cannot be written (disk full), what was written before is kept; or it is not
-        the one that is kept of the run that is resumed.
+        RunError: it cannot be written (disk full), what was written before is kept.
         """
         self.begin()
         with writing(self._folder):
@@ -161,34 +158,29 @@ class RunWriter:
                         for row in some:
                             row[BODY] = body.name
             if self._reference:
-                found = self._bodies, measured, self._reference, self._cameras
+                relative = relative_measurements(
+                    self._bodies, measured, self._reference, self._cameras
+                )
                 rows["relative"] = [
                     {BODY: name, "reference": self._reference, **pose_row(one)}
-                    for name, one in relative_measurements(*found).items()
+                    for name, one in relative.items()
                 ]
             for name, journal in self._journals.items():
                 journal.add(rows[name])
             for name, file in self._csv.items():
                 file.append(b"".join(csv_line(row, self._columns[name]) for row in rows[name]))
-            self._appended += 1
+            self._frame_sets += 1
             if self._clock() - self._flushed_s >= FLUSH_EVERY_S:
                 self._flush()
-            # Never are there fewer rows than before: not in `poses.csv` either.
-            self._take_place_if(self._appended >= max(self.kept, self._kept.csv_frame_sets))
 
     def finish(self) -> Summary:
         """Turn the streams into Parquet and write `summary.json`."""
-        if not self._goes_on():
-            self.begin()
+        self.begin()
         with writing(self._folder):
-            if not self._begun:
-                self._write_copies()
             self._flush()
-            self._take_place_if(self._begun and self._appended >= self.kept)
             self._files.close()
             self._begun = False
             tables = {n: read_table(self._folder, n, s) for n, s in self._schemas.items()}
-            self._mend_csv(tables)
             summary = self._summary(tables)
             text = json.dumps(summary.values(), indent=2, allow_nan=False, ensure_ascii=False)
             # From here on the run counts as complete.
@@ -199,11 +191,14 @@ class RunWriter:
         return summary
 
     def _summary(self, tables: dict[str, pa.Table]) -> Summary:
-        made_from, place = self._provenance.values(), (self._folder, self._cameras)
-        runs = runs_of(made_from, self._bodies, *place, tables, finished=True)
+        runs = self._runs(tables, finished=True)
         if len(runs) == 1:
             return runs[0].summary
         return together({run.body.name: run.summary for run in runs}, tables["poses"])
+
+    def _runs(self, tables: dict[str, pa.Table], finished: bool) -> list[Run]:
+        made_from = self._provenance.values()
+        return runs_of(made_from, self._bodies, self._folder, self._cameras, tables, finished)
 
     def _goes_on(self) -> bool:
         """Whether there is a run to go on with."""
@@ -217,13 +212,15 @@ class RunWriter:
             for file in own_files(self._folder):
                 unfinished(file).unlink(missing_ok=True)
             if self._goes_on():
-                self._kept = read_kept(
+                self._tables = read_tables(
                     self._folder,
-                    self._provenance,
                     self._bodies,
                     self._cameras,
-                    bool(self._reference),
+                    begun_only=not (self._folder / "summary.json").exists(),
+                    relative=bool(self._reference),
                 )
+                rows = self._tables["poses"].num_rows
+                self.kept = self._frame_sets = rows // len(self._bodies)
         except BaseException:
             self._lock.release()
             raise
@@ -239,37 +236,20 @@ class RunWriter:
             write_calibration(file, Calibration(self._cameras))
 
     def _open_files(self) -> None:
+        kept, self._tables = self._tables, {}
         self._journals: dict[str, Journal] = {}
-        for name, schema in self._schemas.items():
-            kept = self._kept.tables[name]
-            journal = Journal(self._folder / f"{name}.arrows", schema, kept, self._kept.blame)
+        for name, table in kept.items():
+            journal = Journal(self._folder / f"{name}.arrows", table, self.kept)
             self._files.callback(journal.close)
             self._journals[name] = journal
         self._csv = dict[str, GrowingFile]()
         for name, columns in self._columns.items():
-            self._csv[name] = file = GrowingFile(self._folder / f"{name}.csv")
+            start = b"".join([csv_heading(columns), *csv_lines(kept[name], columns)])
+            self._csv[name] = file = GrowingFile(self._folder / f"{name}.csv", start)
             self._files.callback(file.close)
-            file.append(csv_heading(columns))
-
-    def _take_place_if(self, due: bool) -> None:
-        """Replace what is kept of an earlier run, if that is due and not done."""
-        if due and not self._in_place:
-            self._flush()
-            for file in (*self._journals.values(), *self._csv.values()):
-                file.take_place()
-            self._in_place = True
 
     def _flush(self) -> None:
         if self._begun:
             for journal in self._journals.values():
-                journal.flush(self._appended)
+                journal.flush(self._frame_sets)
             self._flushed_s = self._clock()
-
-    def _mend_csv(self, tables: Mapping[str, pa.Table]) -> None:
-        """Write `poses.csv` anew if it has not all the rows: then not this process wrote it."""
-        for name, columns in self._columns.items():
-            path = self._folder / f"{name}.csv"
-            if csv_rows(path) != tables[name].num_rows:
-                lines = [csv_line(row, columns) for row in tables[name].to_pylist()]
-                with replacing(path) as file:
-                    file.write_bytes(csv_heading(columns) + b"".join(lines))

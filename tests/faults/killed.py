@@ -51,7 +51,7 @@ class Steps:
         append = GrowingFile.append
 
         def counted(file: GrowingFile, data: bytes) -> None:
-            if file._path.name == "poses.csv":
+            if file.path.name == "poses.csv":
                 self._step(f"row {data[:8]!r}")
             append(file, data)
 

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from measure.cli import main
-from measure.results.stored import csv_rows
+from measure.errors import MeasureError
+from measure.results import read_run
 from measure.simulation import write_session
 from tests.faults.killed import Ended, Moment, Process
 from tests.faults.killed_commands import Loss, commands, killed
@@ -65,7 +66,7 @@ class Uninterrupted:
 
     def stages(self) -> dict[str, list[int]]:
         """The steps that belong to the start, to measuring and to closing."""
-        rows = [k for k, step in enumerate(self.steps) if step.startswith("row")][1:]
+        rows = [k for k, step in enumerate(self.steps) if step.startswith("row")]
         return {
             "start": [k for k in range(rows[0]) if not self.steps[k].startswith("os.remove")],
             "measuring": list(range(rows[0], rows[-1] + 1)),
@@ -74,7 +75,7 @@ class Uninterrupted:
 
     def rows_before(self, step: int) -> int:
         """How many frame sets were written before a step."""
-        return max(sum(one.startswith("row") for one in self.steps[:step]) - 1, 0)
+        return sum(one.startswith("row") for one in self.steps[:step])
 
     def differs_from(self, out: Path) -> list[str]:
         """Files that another run of the same has not to the byte, or has too many."""
@@ -112,7 +113,7 @@ def killed_and_resumed(whole: Uninterrupted, out: Path, moments: list[Moment]) -
         if ended.code not in (0, -signal.SIGKILL):
             return Outcome(ended.said, [], lost)
         lost += max(kept - csv_rows(out / "poses.csv"), 0)
-        kept, more = csv_rows(out / "poses.csv"), ["--resume"]
+        kept, more = kept_rows(out), ["--resume"]
     ended = whole.case.measured(out, "--resume")
     return Outcome(ended.said if ended.code else "", whole.differs_from(out), lost)
 
@@ -231,6 +232,19 @@ def _session(name: str, folder: Path) -> Path:
     scene = webcam_scene() if name == "still" else occluded_scene()
     write_session(scene, np.arange(SETS) / 30.0, folder / "sessions" / name)
     return folder / "sessions" / name
+
+
+def csv_rows(path: Path) -> int:
+    """How many whole rows `poses.csv` has; none if it is not there."""
+    return max(path.read_bytes().count(b"\n") - 1, 0) if path.exists() else 0
+
+
+def kept_rows(out: Path) -> int:
+    """How many frame sets a run that was killed can be resumed with."""
+    try:
+        return len(read_run(out).poses)
+    except MeasureError:
+        return 0
 
 
 def _contents(out: Path) -> dict[str, bytes]:

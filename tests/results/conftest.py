@@ -135,7 +135,7 @@ def open_writer(folder: Path, **options: bool) -> RunWriter:
 def go_on(folder: Path, count: int) -> int:
     """Resume and finish with `count` frame sets in all; returns how many were kept."""
     with open_writer(folder, resume=True) as writer:
-        for i in range(count):
+        for i in range(writer.kept, count):
             writer.append(measurement(i))
         writer.finish()
         return writer.kept

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,12 +17,19 @@ import pyarrow as pa
 import pytest
 
 from measure.errors import RunError
-from measure.measuring import Measurement
 from measure.results import journal, read_run
 from measure.results.folder import FolderLock, check_run_folder
 from measure.results.journal import read_table
 from measure.results.tables import SCHEMAS
-from tests.results.conftest import check_whole, frames_of, go_on, measurement, open_writer
+from tests.results.conftest import (
+    PERIOD_S,
+    check_whole,
+    frames_of,
+    go_on,
+    measurement,
+    open_writer,
+    true_pose,
+)
 
 
 def begun(folder: Path, count: int) -> None:
@@ -35,52 +41,28 @@ def begun(folder: Path, count: int) -> None:
             writer._flush()
 
 
-def resumed(folder: Path, measured: list[Measurement]) -> None:
-    with open_writer(folder, resume=True) as writer:
-        for one in measured:
-            writer.append(one)
-        writer.finish()
-
-
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_rows_kept_are_never_fewer_while_they_are_measured_again(folder: Path) -> None:
+def test_rows_that_are_kept_stay_and_others_follow(folder: Path) -> None:
+    """Also while it is interrupted again; rows of `poses.csv` that no table had are cut."""
     begun(folder, 6)
     with (folder / "poses.csv").open("ab") as file:
         file.write(b"6,of a row that its table had not yet\n")
     before = contents(folder)
     with open_writer(folder, resume=True) as writer:
         assert writer.kept == 6
-        for i in range(6):
-            writer.append(measurement(i))
-            assert frames_of(folder) == list(range(6))
-            assert len((folder / "poses.csv").read_text().splitlines()) == 8
-    assert contents(folder) == before
+        assert len(writer.kept_runs[0].poses) == 6
+    assert contents(folder) == before, "nothing was begun"
     with open_writer(folder, resume=True) as writer:
-        for i in range(7):
-            writer.append(measurement(i))
-        assert frames_of(folder) == list(range(7))
-        assert len((folder / "poses.csv").read_text().splitlines()) == 8
+        writer.append(measurement(6, error=np.full(6, 0.1)))
+    assert frames_of(folder) == list(range(7))
+    assert len((folder / "poses.csv").read_text().splitlines()) == 8
     assert go_on(folder, 9) == 7
     check_whole(folder, 9)
-
-
-def test_rows_that_come_out_otherwise_are_refused_and_those_kept_stay(folder: Path) -> None:
-    begun(folder, 5)
-    before = contents(folder)
-    nearly = measurement(3, error=np.array([1e-13, 0, 0, 0, 0, 0]))
-    rows = [measurement(0), measurement(1), measurement(2), nearly, measurement(4)]
-    with pytest.raises(RunError, match="frame set 3 comes out otherwise than before") as caught:
-        resumed(folder, rows)
-    assert "another processor, or a damaged file): --overwrite starts anew" in str(caught.value)
-    assert contents(folder) == before
-    text = (folder / "run.toml").read_text().replace('numpy = "', 'numpy = "1.')
-    (folder / "run.toml").write_text(text)
-    changed = f"numpy 1.{np.__version__} then, {np.__version__} now"
-    with pytest.raises(RunError, match=rf"frame set 0 comes out otherwise .*{changed}"):
-        resumed(folder, [replace(measurement(0), reason="other")])
+    off_mm = read_run(folder).poses["x_mm"].to_numpy()[6] - true_pose(6 * PERIOD_S).translation[0]
+    assert off_mm == pytest.approx(0.1), "it was not measured again"
 
 
 @pytest.mark.parametrize("missing", [["body.toml"], ["body.toml", "calibration.toml"], ["all"]])
@@ -131,9 +113,9 @@ def test_streams_of_different_length_and_a_damaged_body_are_mended(folder: Path)
     assert read_run(folder).body.names == ("green", "yellow", "red")
 
 
-@pytest.mark.parametrize("rest", [b"\0", b"\xff", b"green"], ids=["zeros", "ones", "words"])
+@pytest.mark.parametrize("rest", [b"\0", b"green"], ids=["zeros", "words"])
 @pytest.mark.parametrize("table", SCHEMAS)
-@pytest.mark.parametrize("lost", [100, 300, 900, 2500, 4096])
+@pytest.mark.parametrize("lost", [100, 900, 4096])
 def test_an_end_that_a_power_cut_left_is_gone_on_without(
     folder: Path, table: str, lost: int, rest: bytes
 ) -> None:

@@ -29,7 +29,7 @@ PROVENANCE = Provenance(
 
 def _write(folder, total, **options):
     with RunWriter(folder, PROVENANCE, [BODY], CAMERAS, **options) as writer:
-        for index in range(total):
+        for index in range(writer.kept, total):
             writer.append(measurement(index, lost=index == 3))
         return writer.finish()
 
@@ -71,10 +71,8 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path):
     assert not read_run(folder).finished
     _write(folder, 50, resume=True)
     _write(tmp_path / "whole", 50)
-    for name in ("poses", "balls", "detections"):
-        resumed = getattr(read_run(folder), name).to_pylist()
-        assert str(resumed) == str(getattr(read_run(tmp_path / "whole"), name).to_pylist())
-    assert (folder / "poses.csv").read_text() == (tmp_path / "whole/poses.csv").read_text()
+    for file in {path.name for path in folder.iterdir()} - {"run.toml"}:
+        assert (folder / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
 
 
 def test_frame_numbers_in_microseconds_survive(tmp_path):
