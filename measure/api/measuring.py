@@ -19,8 +19,10 @@ from measure.measuring.burn_in import calibrated
 from measure.model import Body, Detection, FrameSet
 from measure.session import Session
 
-RUN_UP_S = 5.0
-"""What trackers and detectors know at any time they have from little more than the last seconds."""
+RUN_UP_S = 3.0
+"""What trackers know at any time they have from little more than the last seconds."""
+_FIRST_RECALLED, _RECALLED_FRAME_SETS = 4, 4
+"""Power of two up to which the burn-in reaches; and enough frame sets for a ball to be found."""
 
 
 def measure_session(
@@ -38,13 +40,26 @@ def measure_bodies(
     """`measure_session` for all of `session.bodies`, in order, each with its own pipeline.
 
     From frame set `start` on: detectors calibrate themselves on the first ones all the same, and
-    trackers have a run-up, of which nothing is yielded.
+    there is a run-up, of which nothing is yielded.
     """
     pipelines = [calibrated_pipeline(session, profile, registry, body) for body in session.bodies]
+    measured = measure_frame_sets(pipelines, _with_run_up(session, start))
+    yield from (one for one in measured if one[0].index >= start)
+
+
+def _with_run_up(session: Session, start: int) -> Iterator[FrameSet]:
+    """The frame sets from `start` on, and those before it that it takes to measure them alike.
+
+    That is the last seconds, for trackers; and a few frame sets each at 16, 32, 64, ... from the
+    recording's begin on, for detectors whose estimates wait longer and longer for each other.
+    """
     times_s = session.pair().times_s
-    run_up = int(np.searchsorted(times_s, times_s[start] - RUN_UP_S)) if start else 0
-    measured = measure_frame_sets(pipelines, session.frame_sets(start=run_up))
-    yield from islice(measured, start - run_up, None)
+    last = int(np.searchsorted(times_s, times_s[start] - RUN_UP_S)) if start else 0
+    for power in range(_FIRST_RECALLED, last.bit_length()):
+        # Left as soon as it is read: no longer is ahead than is measured.
+        few = range(2**power - 1, min(2**power - 1 + _RECALLED_FRAME_SETS, last))
+        yield from islice(session.frame_sets(start=few.start, prefetch=len(few)), len(few))
+    yield from session.frame_sets(start=last)
 
 
 def measure_frame_sets(

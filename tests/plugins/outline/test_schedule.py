@@ -36,3 +36,12 @@ def test_the_second_estimate_follows_a_short_burn_in():
     calibration = calibration_of(scene.camera("cam1"))
     assert estimates_of(calibration, scene, "cam1", range(1, 6)) == [2]
     assert estimates_of(calibration, scene, "cam1", range(1, 10)) == [8]
+
+
+def test_pictures_that_were_missed_count_as_well_once_there_are_estimates():
+    """As where a run is resumed: what follows a gap is then as if all had been seen."""
+    scene = scenes()["still"]
+    calibration = calibration_of(scene.camera("cam1"))
+    assert estimates_of(calibration, scene, "cam1", [1, 20]) == [20], "none of before"
+    calibration = calibration_of(scene.camera("cam1"))
+    assert estimates_of(calibration, scene, "cam1", [*range(1, 9), *range(30, 40)]) == [2, 8, 32]

@@ -37,6 +37,9 @@ _FIRST_ESTIMATE = 2  # Number of the picture of the first estimate; the one befo
 _INTERVAL_FACTOR = 4
 """Each estimate waits for this many times as many pictures as the one before: light and exposure
 may change, but estimates must take little of the whole time."""
+_GAP_PICTURES = 8
+"""Pictures without balls that count as well if they are more, once there have been estimates: light
+changes with time, and a run that is resumed sees few of those before."""
 _KEPT_IMAGES = 4
 _ENOUGH_ESTIMATES = 2  # Later estimates are hardly better than the one of this number
 _BORDER_PX = 2.0
@@ -55,6 +58,7 @@ class SelfCalibration:
         self._lens, self._world_from_camera = lens, world_from_camera
         self._rays, self._margin_px = rays, margin_px
         self._count, self._kept, self._due = 0, 1, _FIRST_ESTIMATE
+        self._first_s = self._period_s = np.inf
         self._patches: deque[list[BallPatch]] = deque(maxlen=_KEPT_IMAGES)
         self._estimates, self._latest_s = 0, -np.inf
         self._estimate: AppearanceEstimate | None = None
@@ -92,7 +96,11 @@ class SelfCalibration:
         """Whether to keep, or estimate from, a picture, no earlier than others; call it for all."""
         if found == 0 or time_s <= self._latest_s:
             return False
-        self._count, self._latest_s = self._count + 1, time_s
+        missed = (time_s - self._latest_s) / self._period_s
+        self._count += round(missed) if missed > _GAP_PICTURES else 1
+        self._first_s, self._latest_s = min(self._first_s, time_s), time_s
+        if not self.settled:
+            self._period_s = (time_s - self._first_s) / max(self._count - 1, 1) or np.inf
         return self._count >= self._kept
 
     def add_image(
