@@ -11,10 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.compiling import compiled
-from measure.geometry.rotation_kernels import apply_matrix
-from measure.model.lens import by_lens, to_pixel
 from measure.model.rig import RigRows
+from measure.model.rig_kernels import by_cameras, project_rows
 from measure_plugins._joint_fit.elimination import prior_view_shifts
 from measure_plugins._joint_fit.problem import PackedOutlines
 from measure_plugins._joint_fit.solve import OutlineFit, Start, fit_outlines
@@ -45,7 +43,6 @@ class JointFit(NamedTuple):
     rms_px: float  # of the effects bx and by
 
 
-@compiled
 def solve_outlines(
     outlines: PackedOutlines,
     start: Start,
@@ -66,82 +63,86 @@ def solve_outlines(
     fit = fit_outlines(outlines, start, prior_view_shifts(view_noise))
     known, levers = fit.covariance * widening, np.zeros((len(rig.lenses), 6, 18))
     if fit.solved:
-        count = len(balls.radius_covariance)
-        known += light_covariance(outlines, fit, ball_of, count, rig.lenses)
-        by_radius = pose_by_radius(outlines, fit, ball_of, count, rig.lenses)
+        seen = _SeenBalls.of(outlines, fit, rig)
+        known = known + light_covariance(seen, fit, ball_of)
+        by_radius = pose_by_radius(seen, fit, ball_of, len(balls.radius_covariance))
         known += by_radius @ balls.radius_covariance @ by_radius.T
-        known += shape_covariance(outlines, fit, balls.shape_variances, rig.lenses)
-        levers = by_cameras(outlines, fit, rig)
-        known += calibration_covariance(levers, rig)
+        known += shape_covariance(seen, fit, balls.shape_variances)
+        levers = camera_levers(outlines, fit, rig, seen)
+        known += np.einsum("cik,ckl,cjl->ij", levers, rig.covariances, levers)
     off = fit.effects_px[:, :2]
-    return JointFit(fit, (known + known.T) / 2, levers, np.sqrt(np.sum(off * off) / len(off)))
+    return JointFit(fit, (known + known.T) / 2, levers, float(np.sqrt(np.sum(off**2) / len(off))))
 
 
-@compiled
-def rms_distance(fit: OutlineFit, points_body: Floats, centers: Floats) -> float:
-    """RMS distance in mm of centres (f, 3) in the world from the body's (f, 3); NaN for f = 0."""
-    total = 0.0
-    for i in range(len(centers)):
-        off = centers[i] - apply_matrix(fit.rotation, points_body[i]) - fit.translation
-        total += np.sum(off * off)
-    return float(np.sqrt(total / len(centers)))
+class _SeenBalls(NamedTuple):
+    """The balls of k ball-views where the fit puts them."""
+
+    centers: Floats  # (k, 3) in the camera frame, mm
+    focal_px: Floats  # (k,)
+    distance_mm: Floats  # (k,)
+    px_per_mm: Floats  # (k,) how far an outline moves in its picture if the ball's surface does
+
+    @classmethod
+    def of(cls, outlines: PackedOutlines, fit: OutlineFit, rig: RigRows) -> _SeenBalls:
+        """Those of a fit."""
+        view, lens = outlines.view_of, rig.lenses[outlines.view_of]
+        places = outlines.centers_body @ fit.rotation.T + fit.translation
+        centers = np.einsum("kij,kj->ki", outlines.rotations[view], places)
+        centers += outlines.translations[view]
+        focal_px, square = (lens[:, 0] + lens[:, 3]) / 2, np.sum(centers**2, axis=1)
+        px_per_mm = focal_px / np.sqrt(square - outlines.radii**2)
+        return cls(centers, focal_px, np.sqrt(square), px_per_mm)
 
 
-@compiled
-def calibration_covariance(levers: Floats, rig: RigRows) -> Floats:
-    """What uncertain cameras add to the pose's covariance (6, 6), by the levers of `by_cameras`.
+def camera_levers(
+    outlines: PackedOutlines, fit: OutlineFit, rig: RigRows, seen: _SeenBalls
+) -> Floats:
+    """Derivatives (c, 6, 18) of the pose by the uncertain cameras' poses and intrinsics.
 
     See docs/explanation/joint_fit.md, formula 19.
     """
-    out = np.zeros((6, 6))
-    for view in range(len(rig.lenses)):
-        if np.any(rig.covariances[view]):
-            out += levers[view] @ rig.covariances[view] @ levers[view].T
-    return out
-
-
-@compiled
-def by_cameras(outlines: PackedOutlines, fit: OutlineFit, rig: RigRows) -> Floats:
-    """Derivatives (c, 6, 18) of the pose by the uncertain cameras' poses and intrinsics."""
-    levers, by_intrinsics = np.zeros((len(rig.lenses), 6, 18)), np.empty((3, 12))
-    for view in range(len(rig.lenses)):
-        if not np.any(rig.covariances[view]):
-            continue
-        levers[view, :, :6] = fit.by_camera[view]
-        for k in range(len(outlines.view_of)):
-            if outlines.view_of[k] == view:
-                _outline_by_lens(outlines, fit, k, rig.lenses[view], by_intrinsics)
-                levers[view, :, 6:] -= fit.by_effect[k] @ by_intrinsics
+    levers = np.zeros((len(rig.lenses), 6, 18))
+    uncertain = rig.covariances.any(axis=(1, 2))
+    if uncertain.any():
+        levers[:, :, :6] = fit.by_camera
+        by_intrinsics = _outlines_by_lens(outlines, rig, seen)
+        np.subtract.at(levers[:, :, 6:], outlines.view_of, fit.by_effect @ by_intrinsics)
+        levers[~uncertain] = 0.0
     return levers
 
 
-@compiled
-def _center_in_camera(outlines: PackedOutlines, fit: OutlineFit, k: int) -> Floats:
-    """Where ball-view k's ball is (3,) in its camera's frame, mm."""
-    view = outlines.view_of[k]
-    place = apply_matrix(fit.rotation, outlines.centers_body[k]) + fit.translation
-    return apply_matrix(outlines.rotations[view], place) + outlines.translations[view]
+_EDGES = np.array([[0, 0, 0], [-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]], np.float64)
+"""A ball's centre, and the ends of its diameters along the picture's axes, in radii."""
 
 
-@compiled
-def pose_by_radius(
-    outlines: PackedOutlines, fit: OutlineFit, ball_of: Ints, balls: int, lenses: Floats
-) -> Floats:
+def _outlines_by_lens(outlines: PackedOutlines, rig: RigRows, seen: _SeenBalls) -> Floats:
+    """Derivatives (k, 3, 12) of the outlines (x, y, radius) by the intrinsics."""
+    view, count = np.repeat(outlines.view_of, len(_EDGES)), len(outlines.view_of)
+    points = seen.centers[:, None] + outlines.radii[:, None, None] * _EDGES
+    still, here = np.zeros((len(view), 3)), np.tile(np.eye(3), (len(view), 1, 1))
+    rows = RigRows(rig.lenses[view], np.full(len(view), np.inf), here, still, rig.covariances[view])
+    at, moved = points.reshape(-1, 3), np.empty((count, 3, 12))
+    pixels = project_rows(rows, at)[0].reshape(count, -1, 2)
+    by_lens = by_cameras(rows, at)[..., 6:].reshape(count, -1, 2, 12)
+    outward = pixels[:, 1:] - pixels[:, :1]
+    outward /= np.linalg.norm(outward, axis=2, keepdims=True)
+    moved[:, :2] = by_lens[:, 0]
+    moved[:, 2] = np.einsum("kea,keaj->kj", outward, by_lens[:, 1:] - by_lens[:, :1]) / 4
+    return moved
+
+
+def pose_by_radius(seen: _SeenBalls, fit: OutlineFit, ball_of: Ints, balls: int) -> Floats:
     """Derivatives (6, b) of the pose by the balls' radii, per mm.
 
     A ball that is larger has larger outlines in all views. See docs/explanation/joint_fit.md,
     formula 22.
     """
-    out = np.zeros((6, balls))
-    for k in range(len(outlines.view_of)):
-        out[:, ball_of[k]] += fit.by_effect[k, :, 2] * _px_per_mm(outlines, fit, k, lenses)
-    return out
+    out = np.zeros((balls, 6))
+    np.add.at(out, ball_of, fit.by_effect[:, :, 2] * seen.px_per_mm[:, None])
+    return out.T
 
 
-@compiled
-def shape_covariance(
-    outlines: PackedOutlines, fit: OutlineFit, variances: Floats, lenses: Floats
-) -> Floats:
+def shape_covariance(seen: _SeenBalls, fit: OutlineFit, variances: Floats) -> Floats:
     """What balls that are out of round add to the pose's covariance (6, 6).
 
     Each view shows another outline of a ball, which shifts and grows independently: as random
@@ -151,53 +152,12 @@ def shape_covariance(
     Args:
         variances: (3,) of an outline's x, y and radius, mm^2.
     """
-    out, stated = np.zeros((6, 6)), fit.effect_sd_px[np.array([0, 0, 1])] ** 2
-    for k in range(len(outlines.view_of)):
-        shape = variances * _px_per_mm(outlines, fit, k, lenses) ** 2
-        out += (fit.by_effect[k] * np.maximum(shape - stated, 0.0)) @ fit.by_effect[k].T
-    return out
+    stated = fit.effect_sd_px[[0, 0, 1]] ** 2
+    missing = np.maximum(variances * seen.px_per_mm[:, None] ** 2 - stated, 0.0)
+    return np.einsum("kie,ke,kje->ij", fit.by_effect, missing, fit.by_effect)
 
 
-@compiled
-def _px_per_mm(outlines: PackedOutlines, fit: OutlineFit, k: int, lenses: Floats) -> float:
-    """How far ball-view k's outline moves in its picture if the ball's surface does."""
-    view, center = outlines.view_of[k], _center_in_camera(outlines, fit, k)
-    square = np.sum(center * center) - outlines.radii[k] ** 2
-    return float((lenses[view, 0] + lenses[view, 3]) / 2 / np.sqrt(square))
-
-
-@compiled
-def _outline_by_lens(
-    outlines: PackedOutlines, fit: OutlineFit, k: int, lens: Floats, by_intrinsics: Floats
-) -> None:
-    """Fill the derivatives (3, 12) of ball-view k's outline (x, y, radius) by the intrinsics."""
-    radius, center = outlines.radii[k], _center_in_camera(outlines, fit, k)
-    moved, middle = _pixel_by_lens(center, lens)
-    by_intrinsics[:2], by_intrinsics[2] = moved, 0.0
-    for axis in range(2):
-        for side in (-1.0, 1.0):
-            edge = center.copy()
-            edge[axis] += side * radius
-            edge_moved, at = _pixel_by_lens(edge, lens)
-            outward = (at - middle) / np.sqrt(np.sum((at - middle) ** 2))
-            for j in range(12):
-                growth = edge_moved[:, j] - moved[:, j]
-                by_intrinsics[2, j] += (outward[0] * growth[0] + outward[1] * growth[1]) / 4
-
-
-@compiled
-def _pixel_by_lens(point: Floats, lens: Floats) -> tuple[Floats, Floats]:
-    """Derivatives (2, 12) of a camera-frame point's pixel by the intrinsics, and the pixel (2,)."""
-    moved, pixel = np.zeros((2, 12)), np.empty(2)
-    by_lens(point[0] / point[2], point[1] / point[2], lens, moved)
-    pixel[0], pixel[1] = to_pixel(point[0], point[1], point[2], lens)
-    return moved, pixel
-
-
-@compiled
-def light_covariance(
-    outlines: PackedOutlines, fit: OutlineFit, ball_of: Ints, balls: int, lenses: Floats
-) -> Floats:
+def light_covariance(seen: _SeenBalls, fit: OutlineFit, ball_of: Ints) -> Floats:
     """What shifts of a ball that all cameras share add to the pose's covariance (6, 6).
 
     Light falls on a ball from the same side for all cameras and shifts its outlines: the part of
@@ -207,16 +167,10 @@ def light_covariance(
     balls, as an error of the tone curve is for balls under the same light. See
     docs/explanation/joint_fit.md, formula 18.
     """
-    levers, mm_per_px = np.zeros((balls, 6, 3)), 0.0
-    for k in range(len(outlines.view_of)):
-        view, center = outlines.view_of[k], _center_in_camera(outlines, fit, k)
-        levers[ball_of[k]] += fit.by_ball[k]
-        focal = (lenses[view, 0] + lenses[view, 3]) / 2
-        mm_per_px += np.sqrt(np.sum(center * center)) / focal / len(outlines.view_of)
-    out, together = np.zeros((6, 6)), np.zeros((6, 3))
-    for ball in range(balls):
-        out += levers[ball] @ levers[ball].T
-        together += levers[ball]
-    out += together @ together.T
-    common_px = max(fit.effect_sd_px[0], _MIN_COMMON_SHIFT_PX)
-    return out * (_PER_BALL_SHARE * (common_px * mm_per_px) ** 2)
+    levers = np.zeros((int(np.max(ball_of)) + 1, 6, 3))
+    np.add.at(levers, ball_of, fit.by_ball)
+    together = levers.sum(axis=0)
+    out = np.einsum("bik,bjk->ij", levers, levers) + together @ together.T
+    common_px = max(float(fit.effect_sd_px[0]), _MIN_COMMON_SHIFT_PX)
+    common_mm = common_px * float(np.mean(seen.distance_mm / seen.focal_px))
+    return np.asarray(out * (_PER_BALL_SHARE * common_mm**2))

@@ -77,7 +77,7 @@ class _FitState(NamedTuple):
     view_shifts: elimination.ViewShifts
 
 
-@folded
+@compiled
 def fit_outlines(
     outlines: PackedOutlines, start: Start, view_shifts: elimination.ViewShifts
 ) -> OutlineFit:

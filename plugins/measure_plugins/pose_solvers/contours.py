@@ -195,8 +195,6 @@ class ContoursSolver(PoseSolver):
         Raises:
             ConfigError: the detector measures no outlines.
         """
-        from measure_plugins._joint_fit.covariance import rms_distance
-
         outlines = outlines_of(detections, self.body, cameras)
         if outlines is None and detections:
             raise ConfigError(
@@ -214,12 +212,13 @@ class ContoursSolver(PoseSolver):
         if not fit.found.solved:
             return None
         placed = self.body.centers_of([position.ball for position in positions])
-        residual_mm = rms_distance(fit.found, placed, stacked_positions(tuple(positions))[0])
+        pose = RigidTransform(fit.found.rotation, fit.found.translation)
+        off_mm = stacked_positions(tuple(positions))[0] - pose.apply(placed)
         return Pose(
             time_s=time_s,
-            world_from_body=RigidTransform(fit.found.rotation, fit.found.translation),
+            world_from_body=pose,
             covariance=fit.covariance,
-            residual_mm=residual_mm,
+            residual_mm=math.sqrt(np.sum(off_mm**2) / len(off_mm)) if positions else math.nan,
             rms_px=fit.rms_px,
             cameras=outlines.named.seen_by,
             balls=outlines.named.shown,
