@@ -40,6 +40,16 @@ def chi_square_quantile(probability: float, degrees: int) -> float:
     return float(2 * gammaincinv(degrees / 2, probability))
 
 
+def inverted(transform: RigidTransform, covariance: Floats) -> tuple[RigidTransform, Floats]:
+    """source_from_target (...) and its covariances (..., 6, 6) to first order."""
+    back = transform.inverse()
+    # t' = -R^T t and R' = R^T; R -> exp(w) R gives dw' = -R^T w, dt' = -R^T (dt + t x w).
+    jacobian = np.zeros((*back.translation.shape[:-1], 6, 6))
+    jacobian[..., :3, :3] = jacobian[..., 3:, 3:] = -back.rotation
+    jacobian[..., :3, 3:] = -back.rotation @ skew(transform.translation)
+    return back, propagate(jacobian, covariance)
+
+
 @dataclass(frozen=True, eq=False)
 class UncertainTransform:
     """A rigid transform with the covariance of its `perturb` chart."""
@@ -52,12 +62,7 @@ class UncertainTransform:
 
     def inverse(self) -> UncertainTransform:
         """source_from_target with its covariance to first order."""
-        back = self.transform.inverse()
-        # t' = -R^T t and R' = R^T; R -> exp(w) R gives dw' = -R^T w, dt' = -R^T (dt + t x w).
-        jacobian = np.zeros((6, 6))
-        jacobian[:3, :3] = jacobian[3:, 3:] = -back.rotation
-        jacobian[:3, 3:] = -back.rotation @ skew(self.transform.translation)
-        return UncertainTransform(back, propagate(jacobian, self.covariance))
+        return UncertainTransform(*inverted(self.transform, self.covariance))
 
     def __matmul__(self, other: UncertainTransform) -> UncertainTransform:
         """Composition of two independent uncertain transforms."""

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from measure.arrays import Floats
 
 UNDETERMINED = 1e-12
 """Eigenvalues of a normal matrix this small, as a share of the largest, are rounding."""
+_ROUNDING = 1e-15
+_LEAST_PART = 0.05
+"""Of a direction (squares), from which a parameter is named: less may be of rounding and noise."""
 
 
 def symmetric_inverse(matrix: Floats) -> Floats:
@@ -19,6 +24,40 @@ def symmetric_inverse(matrix: Floats) -> Floats:
     scaled = matrix * scale[:, None] * scale
     inverse = np.linalg.pinv(scaled, rcond=UNDETERMINED, hermitian=True)
     return np.asarray(inverse * scale[:, None] * scale)
+
+
+def posterior_covariance(matrix: Floats, precision: Floats) -> Floats:
+    """The inverse (n, n) of `matrix + diag(precision)`: what data and a prior say together.
+
+    Args:
+        matrix: (n, n) normal matrix of the data; it may be singular where `precision` is not 0.
+        precision: (n,) inverse variances of what is known beforehand; 0 where all is open.
+    """
+    scale = np.where(precision > 0, 1 / np.sqrt(np.where(precision > 0, precision, 1.0)), 0.0)
+    scale = np.where(scale > 0, scale, _unit_scale(matrix))
+    scaled = (matrix + np.diag(precision)) * scale[:, None] * scale
+    if (precision > 0).all():  # no eigenvalue is below 1 then
+        inverse = np.linalg.inv(scaled)
+    else:
+        inverse = np.linalg.pinv(scaled, rcond=_ROUNDING, hermitian=True)
+    return np.asarray(inverse * scale[:, None] * scale)
+
+
+def undetermined(matrix: Floats, largest_sd: Floats) -> Floats:
+    """Directions (n, k) of the parameters that a normal matrix (n, n) does not determine.
+
+    They are those whose standard deviation would be larger than `largest_sd` (n,), from which on a
+    parameter counts as not known; each is as long as it is then, the least determined one first.
+    """
+    values, axes = np.linalg.eigh(matrix * largest_sd[:, None] * largest_sd)
+    return np.asarray(axes[:, values < 1.0] * largest_sd[:, None])
+
+
+def undetermined_names(matrix: Floats, largest_sd: Floats, names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the parameters that take part in what is not determined, the most open one first."""
+    shares = np.sum((undetermined(matrix, largest_sd) / largest_sd[:, None]) ** 2, axis=1)
+    order = np.argsort(-shares, kind="stable")
+    return tuple(names[k] for k in order if shares[k] > _LEAST_PART)
 
 
 def _unit_scale(matrix: Floats) -> Floats:

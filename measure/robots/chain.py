@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from measure.arrays import Floats, floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
-from measure.geometry.normal_equations import symmetric_inverse
+from measure.geometry.normal_equations import posterior_covariance
 
 _DAMPING = 1e-9  # mm^2 or rad^2, of the normal matrix
 
@@ -163,6 +163,7 @@ _LARGEST_SD = np.array([5.0, 0.05])  # mm and rad: the most that is counted with
 _LEAST_NOISE = 1e-2
 """Variance of what is left over what is stated, at least: few residuals may be met exactly."""
 _STEPS = 50
+_SAME_SD = 1e-3  # relative change of the links' standard deviations, below which they are found
 
 
 def link_names(chain: SerialChain) -> tuple[str, ...]:
@@ -231,25 +232,29 @@ class LinkEffects:
         size, sd, noise = len(links), self.link_sd, self.noise
         for _ in range(_STEPS):
             precision = np.concatenate([known, sd**-2.0])
-            C = symmetric_inverse(N * (share / noise) + np.diag(precision))
+            C = posterior_covariance(N * (share / noise), precision)
             pull = g * (share / noise)
             pull[len(pull) - size :] -= precision[len(pull) - size :] * links
             x = C @ pull
-            sd = _pooled((links + x[len(x) - size :]) ** 2 + np.diag(C)[len(x) - size :])
+            before = sd
+            sd = _pooled((links + x[len(x) - size :]) ** 2, np.diag(C)[len(x) - size :])
             left = float(squares - 2 * x @ g + x @ N @ x + share * np.sum(C * N)) / count
             noise = max(left, _LEAST_NOISE)
+            if np.abs(sd / before - 1).max(initial=0.0) < _SAME_SD:
+                break
         return LinkEffects(x, np.asarray(C, dtype=np.float64), sd, noise)
 
 
-def _pooled(second: Floats) -> Floats:
-    """Standard deviations (links,) of second moments: one of all lengths, one of all angles.
+def _pooled(squares: Floats, variances: Floats) -> Floats:
+    """Standard deviations (links,): one of all lengths, one of all angles.
 
-    As large as they are if only the four classical ones of each six (a, alpha, d, theta) are off;
-    where a motion leaves most of them open that would grow without end.
+    Of squared errors and of their variances, which are those of the prior where nothing shows an
+    error. What is shown counts as if only the four classical ones of each six (a, alpha, d, theta)
+    were off; what is not shown leaves the deviation as it is.
     """
-    turns = np.resize(TURNS, second.shape)
-    out = np.empty_like(second)
+    turns = np.resize(TURNS, squares.shape)
+    out, second = np.empty_like(squares), 1.5 * squares + np.maximum(variances, 0.0)
     for which, usual, most in zip((~turns, turns), _USUAL_SD, _LARGEST_SD, strict=True):
         if which.any():
-            out[which] = np.clip(np.sqrt(1.5 * second[which].mean()), usual, most)
+            out[which] = np.clip(np.sqrt(second[which].mean()), usual, most)
     return out

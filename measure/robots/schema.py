@@ -113,6 +113,17 @@ class StateSchema:
         """Joint positions (..., joints) in rad and mm."""
         return self.read(states, self.joints)
 
+    @property
+    def periods(self) -> Floats:
+        """How far the features (features,) of turning joints go in one turn; inf of all others."""
+        matrix, out = self.reading_matrix(self.joints), np.full(len(self.features), np.inf)
+        turns = [not joint.prismatic for joint in self.chain.joints] if self.chain else []
+        for row in np.flatnonzero((matrix != 0).sum(axis=1) == 1):
+            (joint,) = np.flatnonzero(matrix[row])
+            if turns and turns[joint] and np.count_nonzero(matrix[:, joint]) == 1:
+                out[row] = 2 * np.pi / abs(matrix[row, joint])
+        return out
+
     def means(self, other: StateSchema) -> bool:
         """Whether another describes the robot alike: units, readings, chain; not how logs do."""
         ours, theirs = self._numbers(), other._numbers()

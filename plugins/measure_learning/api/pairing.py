@@ -227,26 +227,38 @@ def register(
     options: RegisterOptions,
     *,
     topic: str | None = None,
+    stops: Sequence[Path] = (),
 ) -> RobotFrame:
-    """Where a robot's base, the body on its tool and its clock are, from runs and logs.
+    """Where a robot's base, the body on its tool and its clock are, from runs and logs, or stops.
 
     Args:
         runs: run folders, or tables of poses; the cameras and the body stayed where they were.
         logs: robot logs, one for each run or one for all.
         robot: name of a state schema, or a robot.toml.
         topic: of the state messages, if a log is a bag.
+        stops: instead of runs and logs, tables with pose and joints of a stop in each row.
     """
     from measure.results import read_run
     from measure.results.pose_table import shared_errors
     from measure_learning.core import files
-    from measure_learning.core.registration import Recording, register
+    from measure_learning.core.registration import Recording, register, register_stops
+    from measure_learning.core.stops import pairs_in_table
     from measure_learning.robots import find_schema
 
+    schema = find_schema(robot)
+    if stops:
+        if runs or logs:
+            raise ConfigError("--stops holds poses and joints: leave out runs and --robot-log")
+        tables = [files.read_stops(path, schema) for path in stops]
+        if options.eye_in_hand:
+            tables = [(track.inverted(), states) for track, states in tables]
+        pairs = [pairs_in_table(track, states) for track, states in tables]
+        return register_stops(pairs, schema, options)
     if not (runs and logs):
-        raise ConfigError("give runs of the moving robot, and its log with --robot-log")
+        raise ConfigError("give runs of the moving robot, and its log with --robot-log; or --stops")
     tracks = [files.read_poses(run) for run in runs]
     if len({track.name for track in tracks}) < len(tracks):
         raise EstimatorError("two recordings have the same name: rename one")
     shared = [shared_errors(read_run(run)) if run.is_dir() else None for run in runs]
-    opened = open_logs(runs, logs, find_schema(robot), topic)
+    opened = open_logs(runs, logs, schema, topic)
     return register(list(map(Recording, tracks, opened, shared)), options)

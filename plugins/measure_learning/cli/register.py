@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
+from cyclopts import Parameter
 
 from measure import api
 from measure.arrays import Floats
@@ -24,23 +26,26 @@ def register(
     *,
     out: OutFile,
     overwrite: Overwrite = False,
+    stops: Annotated[tuple[Path, ...], Parameter(name="--stops")] = (),
     source: RobotOptions = RobotOptions(),
     options: Annotated[RegisterOptions, FIELDS] = RegisterOptions(),
     json: JsonFlag = False,
 ) -> None:
     """Find where a robot stands in the cameras' world, and the body on its tool.
 
-    From recordings of the moving robot: world_from_base, flange_from_body and the offset between
-    the clocks, each with its uncertainty, and what the motion or the robot cannot separate. A
-    motion that shows too little is refused with what it lacks.
+    Hand-eye and robot-world calibration (AX = ZB), from recordings of the moving robot, or from 8
+    or more poses at which it stood still. Found are world_from_base, flange_from_body and the
+    offset between the clocks, each with its uncertainty, and what the motion or the robot cannot
+    separate. Poses or joints that fit once a slip is undone are refused with the slip.
 
     Args:
         runs: run folders, or tables of poses; the cameras and the body stayed where they were.
+        stops: instead of runs and a log, a table with pose and joints of a stop in each row.
         out: the frame to write, for `measure dataset --frame`.
     """
     with api.output(out, overwrite) as file:
         logs, robot, topic = source.robot_log, source.robot, source.topic
-        found = learning_api.register(runs, logs, robot, options, topic=topic)
+        found = learning_api.register(runs, logs, robot, options, topic=topic, stops=stops)
         write_frame(file, found)
     if json:
         console.print_json({"output": out, **found.values()})
@@ -61,13 +66,27 @@ def _print(found: RobotFrame, out: Path) -> None:
         console.print_text(f"clock of {name}: robot - camera {offset:.5f} s, SD {error:.1g} s")
     facts = found.judgement
     left, held_out = facts["rms_mm"], facts["held_out_rms_mm"]
+    left_out = f" ({facts['left_out']} more disagree and are left out)" if facts["left_out"] else ""
+    halves = f", {held_out:.3f} mm on halves held out" if np.isfinite(held_out) else ""
     console.print_text(
-        f"{facts['poses']} poses; {left:.3f} mm RMS are left, {held_out:.3f} mm on halves held "
-        f"out; the poses state {facts['stated_noise_mm']:.3f} mm"
+        f"{facts['poses']} poses{left_out}; {left:.3f} mm RMS are left{halves}; the poses state "
+        f"{facts['stated_noise_mm']:.3f} mm"
     )
     for sentence in facts["not_separable"]:
         console.print_text(sentence)
+    if (helps := facts.get("next_pose")) is not None:
+        console.print_text(_next_pose(helps))
     console.print_text(f"wrote {out}: pair with `measure dataset --frame {out}`")
+
+
+def _next_pose(helps: Mapping[str, Any]) -> str:
+    joints = ", ".join(f"{value:g}" for value in helps["joints"])
+    units = "deg" if set(helps["units"]) == {"deg"} else f"({', '.join(helps['units'])})"
+    base, tool = (round(100 * (1 - helps[f"{what}_sd_ratio"])) for what in ("base", "tool"))
+    return (
+        f"one more stop would help most with the joints at ({joints}) {units}: SD of the base "
+        f"-{base} %, of the tool -{tool} %"
+    )
 
 
 def _words(values: Floats) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.geometry.covariance import MAD_TO_SD
+from measure.geometry.covariance import MAD_TO_SD, inverted
 from measure.host import Dataset
 from measure.metrology.poses import PoseTable
 from measure_learning.core.clock import ClockOffset, estimate_offset
@@ -49,6 +49,14 @@ class PoseTrack:
             if name != "name" and value is not None
         }
         return replace(self, **arrays)
+
+    def inverted(self) -> PoseTrack:
+        """body_from_world instead of world_from_body; rotations must be measured."""
+        table = self.table()
+        poses, P = inverted(table.world_from_body, table.covariances)
+        return PoseTrack(
+            self.name, self.times_s, poses.translation, P[:, :3, :3], poses.rotation, P
+        )
 
     def table(self) -> PoseTable:
         """The same with rotations, which must be measured."""
@@ -290,6 +298,10 @@ def interpolate(log: CompleteStates, at: Floats, longest_gap_s: float) -> tuple[
     share = np.clip((at - before) / (after - before), 0.0, 1.0)[:, None]
     both = log.log.states_at(log.rows[np.concatenate([right - 1, right])])
     states, others = both[: len(at)], both[len(at) :]
+    period = log.log.schema.periods  # an angle that jumps by a turn has not moved
+    turning = np.isfinite(period)
+    turns = np.round((others - states)[:, turning] / period[turning])
+    others[:, turning] -= turns * period[turning]
     states *= 1.0 - share
     others *= share
     states = states + others  # lets go of the two halves

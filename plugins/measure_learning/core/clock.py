@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,7 @@ _MEDIAN_SAMPLES = 5  # window of the median filter that finds outliers
 _MIN_KEPT_SHARE = 0.8  # of the positions; more outliers than the rest mean another cause
 # of what the fit leaves, as a delay, that a robot's cables made of it: RMS, `benchmarks.clock`.
 _DELAY_SHARE = 0.5
+_ROUGH_HZ = 10.0  # of a search that only has to find the place
 _PIECE = 1 << 16  # instants compared at a time
 _SPARSE_POSES_S = 0.4  # poses farther apart in time miss most of the motion
 
@@ -55,10 +56,23 @@ def estimate_offset(
 
     At every offset the reported velocities are rotated onto the measured ones (least squares); the
     offset of the largest correlation is refined. Velocities are compared because hysteresis shifts
-    positions along the motion as a delay does, but hardly changes velocities. EstimatorError: too
+    positions along the motion as a delay does, but hardly changes velocities. Clocks of different
+    origin (seconds since 1970, seconds since the robot was switched on) share no time within
+    `largest_s`: then every offset is searched at which the recordings overlap. EstimatorError: too
     little motion in common, no offset within `largest_s` makes the velocities agree, or several do
     (motion that repeats itself).
     """
+    apart_s = robot_times_s[0] - camera_times_s[0]
+    length_s = max(np.ptp(robot_times_s), np.ptp(camera_times_s))
+    if not abs(apart_s) < length_s + largest_s:
+        found = estimate_offset(
+            camera_times_s - camera_times_s[0],
+            measured_mm,
+            robot_times_s - robot_times_s[0],
+            reported_mm,
+            largest_s=min(float(length_s), _MAX_SEARCHED_S / 2),
+        )
+        return replace(found, offset_s=found.offset_s + apart_s)
     robot = _PositionTrack(robot_times_s, reported_mm)
     cameras = _without_outliers(_PositionTrack(camera_times_s, measured_mm), robot)
     grid = _common_times(cameras.times_s, robot.times_s, largest_s)
@@ -227,6 +241,55 @@ def _refine(
             break
     variance = _variance_of_sum(pull) / curvature**2 + _own_delay_s(residual, curvature) ** 2
     return ClockOffset(lag, float(np.sqrt(variance)), score)
+
+
+def rough_offset(
+    camera_times_s: Floats, twists: Floats, robot_times_s: Floats, rates: Floats
+) -> tuple[float, float]:
+    """The offset at which two motions depend on each other most, whatever the dependence is.
+
+    A body's velocities and turns, as it sees them, are nearly linear in the joints' rates: in any
+    order, sign and unit of the joints, and in any axes of the cameras, mirrored or inverted ones
+    too. So this finds the clock of a recording whose joints or poses are wrong.
+
+    Args:
+        camera_times_s: (n,) increasing.
+        twists: (n, k) of the body.
+        robot_times_s: (m,) increasing.
+        rates: (m, joints).
+
+    Returns:
+        The offset, robot minus camera time, to a tenth of a second, and the share of the twists'
+        variance that the rates explain there; (nan, 0) if too little time is in common.
+    """
+    start_s, robot_start_s = camera_times_s[0], robot_times_s[0]
+    ours = _on_grid(camera_times_s - start_s, twists)
+    theirs = _on_grid(robot_times_s - robot_start_s, rates[:, rates.std(axis=0) > 0])
+    least = round(max(_MIN_MOTION_S, 0.5 * min(len(ours), len(theirs)) / _ROUGH_HZ) * _ROUGH_HZ)
+    if not least < min(len(ours), len(theirs), _MAX_SEARCHED_S * _ROUGH_HZ) or not theirs.size:
+        return float("nan"), 0.0
+    ours, theirs = (x - x.mean(axis=0) for x in (ours, theirs))
+    edge = len(ours) - least
+    wide = np.pad(theirs, ((edge, edge), (0, 0)))
+    within = np.pad(np.ones(len(theirs)), edge)
+    count = _sliding(within, np.ones(len(ours)))
+    columns = range(theirs.shape[1])
+    flat = np.ones(len(ours))
+    spread = np.array([[_sliding(wide[:, a] * wide[:, b], flat) for b in columns] for a in columns])
+    cross = np.array([[_sliding(wide[:, a], ours[:, b]) for b in range(ours.shape[1])]
+                      for a in columns])  # fmt: skip
+    S, X = np.moveaxis(spread, 2, 0) / count[:, None, None], np.moveaxis(cross, 2, 0)
+    X = X / count[:, None, None] / ours.std(axis=0)
+    floor = 1e-6 * np.trace(S, axis1=1, axis2=2).max() * np.eye(len(S[0]))
+    explained = np.einsum("lab,lab->l", X, np.linalg.solve(S + floor, X)) / ours.shape[1]
+    best = int(np.argmax(explained))
+    return (best - edge) / _ROUGH_HZ + robot_start_s - start_s, float(explained[best])
+
+
+def _on_grid(times_s: Floats, values: Floats) -> Floats:
+    """Values (n, k) on the grid of the rough search, from 0 on."""
+    grid = np.arange(0.0, times_s[-1], 1 / _ROUGH_HZ)
+    return np.stack([np.interp(grid, times_s, column) for column in values.T], axis=1)
 
 
 def _own_delay_s(residual: Floats, curvature: float) -> float:

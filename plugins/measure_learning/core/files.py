@@ -27,6 +27,7 @@ _ERRORS = ("ex_mm", "ey_mm", "ez_mm")
 _LABELS = ("ex", "ey", "ez")
 _STILL_MM, _LEAST_TURN_DEG = 1.0, 3.0  # RMS, of a body's origin and of its turns
 _LABEL_SD_MM = 0.1  # of those, which no column states
+_OF_POSES = ("time_s", *PLACE, "position_sd_mm", "rotation_sd_deg", "rms_px", "status")
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _COVARIANCE = tuple(f"cov_{'xyz'[i]}{'xyz'[j]}_mm2" for i, j in _UPPER)
 
@@ -174,8 +175,31 @@ def read_poses(path: Path) -> PoseTrack:
         return _run_poses(path)
     if not path.exists():
         raise EstimatorError(f"{path}: no such run or file of poses")
+    return _poses_in(path, Table.read(path), "time_s")
+
+
+def read_stops(path: Path, schema: StateSchema) -> tuple[PoseTrack, Floats]:
+    """Poses of a robot that stood still, and the states (n, features) beside them in their rows.
+
+    Columns of poses as `read_poses` knows them, without a time; all others are the robot's.
+    """
+    if not path.exists():
+        raise EstimatorError(f"{path}: no such table of stops")
     table = Table.read(path)
-    columns = table.numbers("time_s", "x_mm", "y_mm", "z_mm")
+    there = [name for name in table.schema.names if name not in _OF_POSES]
+    found = feature_columns(path, schema, there)
+    states = found.states(str(path), table.numbers(*found.columns))
+    track = _poses_in(path, table, None)
+    if track.rotations is None:
+        raise EstimatorError(f"{path}: lacks qw, qx, qy, qz beside x_mm, y_mm, z_mm")
+    return track, states
+
+
+def _poses_in(path: Path, table: Table, time: str | None) -> PoseTrack:
+    """The poses of a table, at the times of a column, or numbered."""
+    columns = table.numbers(*([time] if time else []), "x_mm", "y_mm", "z_mm")
+    if time is None:
+        columns = np.column_stack([np.arange(len(columns)), columns])
     variances = [
         _variance(table, "position_sd_mm", 0.1),
         np.deg2rad(_variance(table, "rotation_sd_deg", 0.3) ** 0.5) ** 2,

@@ -11,10 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from measure.arrays import Bools, Floats, Ints, rms_length
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
 from measure.geometry.covariance import squared_mahalanobis
+from measure.geometry.normal_equations import posterior_covariance, undetermined
 from measure.metrology.poses import PoseTable, SharedErrors, independent_count
 from measure.robots import SerialChain
 from measure.robots.chain import LinkEffects, link_jacobian, usual_sd, with_link_errors
@@ -24,7 +26,15 @@ FRAMES = 12
 _OUTLIER_SDS = 6.0
 _STEPS = 12
 _EXACT_S = 1e-7  # SD of a clock that is given
-_UNKNOWN_RAD = 2.0  # SD of a turn that nothing shows
+_UNKNOWN_MM, _UNKNOWN_RAD, _UNKNOWN_S = 1e3, 2.0, 1.0
+"""SD of a shift, a turn and a clock that nothing shows: more than an arm, any turn, a search."""
+OPEN_SHARE = 0.1
+"""Of these, from which a direction counts as not determined: 100 mm and 11 deg are no answer."""
+_ROUNDS = 3  # of leaving out poses that disagree
+_TURN_TOLERANCE_RAD = 0.02  # up to which such solutions are as good
+_LEAST_SINGULAR = 1e-2  # of shifts, over the largest: turns by 1 deg may be noise alone
+_START_TURNS = 24  # rotations that are tried where the closed form leaves one open
+_ALIKE = 0.98  # ratio of two singular values, from which the rotations have several solutions
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +49,7 @@ class Sightings:
     chain: SerialChain | None
     shared: tuple[SharedErrors | None, ...]  # of each recording; errors are independent if None
     clocks_known: bool = False
+    apart: bool = False  # stops: what is left of one says nothing of that of the next
 
     @property
     def links(self) -> int:
@@ -50,6 +61,11 @@ class Sightings:
         by_row = ("recording", "reported_mm", "joints", "rates")
         taken = {name: getattr(self, name)[rows] for name in by_row}
         return replace(self, poses=self.poses.take(rows), **taken)
+
+    def hand(self) -> RigidTransform:
+        """base_from_flange (n) as reported; without a chain it does not turn."""
+        turns = np.eye(3) if self.chain is None else self.chain.pose(self.joints).rotation
+        return RigidTransform(turns, self.reported_mm)
 
     def flange(self, links: Floats, clocks_s: Floats) -> tuple[RigidTransform, Floats, Floats]:
         """base_from_flange (n), and its change by a second (n, 6) and by the links (n, 6, links).
@@ -83,40 +99,76 @@ class FrameFit:
     covariance: Floats = field(default_factory=lambda: np.eye(0))
     # (12, links) how one SD of a link's error moves the frames.
     frames_by_links: Floats = field(default_factory=lambda: np.eye(0))
+    kept: Bools = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) not left out
+    # (m, m) of frames, clocks and links: inverse variances by the poses.
+    normal: Floats = field(default_factory=lambda: np.eye(0))
+    alone: FrameFit | None = None  # the frames without the links
+    bent: FrameFit | None = None  # the frames with the links
 
     def residuals(self, seen: Sightings) -> Floats:
         """Measured minus modelled (n, 6), or (n, 3) where the flange's rotation is not known."""
-        return _Linear.of(self, seen).residuals
+        return LinearModel.of(self, seen).residuals
 
     def rms_mm(self, seen: Sightings) -> float:
         """Of the positions that are left, where the cameras measure: at the body's origin."""
         return rms_length(self.residuals(seen)[:, :3])
 
+    def open_directions(self, seen: Sightings) -> Floats:
+        """Directions (12, k) of both frames that nothing shows, in mm and rad."""
+        known = precision(seen, self.link_sd)
+        C = posterior_covariance(self.normal, known)[:FRAMES, :FRAMES]
+        limits = OPEN_SHARE * known[:FRAMES] ** -0.5
+        scale = limits[:, None] * limits
+        return undetermined(np.linalg.inv(C / scale) / scale, limits)
+
 
 def fit_frames(seen: Sightings, *, kinematics: bool) -> FrameFit:
     """The frames and clocks, with the links' errors fitted or only counted.
 
-    Poses that disagree by six standard deviations are left out.
+    Poses that disagree by six standard deviations are left out: `kept` has the others.
     """
     count, links = len(seen.shared), seen.links
-    fit = FrameFit(*_closed_form(seen), np.zeros(count), np.zeros(links), usual_sd(links))
+    kept = np.ones(len(seen.poses), dtype=bool)
+    frames = _closed_form(seen)
+    for _ in range(_ROUNDS):
+        some = seen.take(kept)
+        fit = FrameFit(*frames, np.zeros(count), np.zeros(links), usual_sd(links))
+        fit = _with_links(fit, some)
+        fit = replace(fit, share=1.0 if seen.apart else _share(fit, some))
+        agree = _agree(fit, seen, kept)
+        if np.array_equal(agree, kept):
+            break
+        kept, frames = agree, (fit.world_from_base, fit.body_from_flange)
+    seen = seen.take(kept)
     fit = _with_links(fit, seen)
-    near = _Linear.of(fit, seen)
-    squares, size = squared_mahalanobis(near.residuals, near.covariances), near.residuals.shape[1]
-    usual = np.median(squares) / chi_square_quantile(0.5, size)
-    seen = seen.take(np.asarray(squares <= _OUTLIER_SDS**2 * size / 3 * usual))
-    white = _Linear.of(fit, seen).white
-    counts = [independent_count(white[seen.recording == k]) for k in range(count)]
-    fit = _with_links(replace(fit, share=sum(counts) / len(white)), seen)
+    near = LinearModel.of(fit, seen)
+    fit = replace(fit, kept=kept, normal=near.normal()[1] * (fit.share / fit.noise))
     plain = _without_links(fit, seen)
     if kinematics:
-        plain = replace(fit, frames_by_links=plain.frames_by_links)
-        return replace(plain, covariance=_covariance(_Linear.of(fit, seen), fit, seen))
-    return plain
+        plain = replace(fit, frames_by_links=plain.frames_by_links, alone=plain, bent=fit)
+        return replace(plain, covariance=_covariance(near, fit, seen))
+    return replace(plain, alone=plain, bent=fit)
+
+
+def _share(fit: FrameFit, seen: Sightings) -> float:
+    """Of the poses that are independent."""
+    white = LinearModel.of(fit, seen).white
+    counts = [independent_count(white[seen.recording == k]) for k in range(len(seen.shared))]
+    return sum(counts) / len(white)
+
+
+def _agree(fit: FrameFit, seen: Sightings, kept: Bools) -> Bools:
+    """Which poses (n,) are within six standard deviations, by the usual size of the kept ones."""
+    near = LinearModel.of(fit, seen)
+    squares, size = squared_mahalanobis(near.residuals, near.covariances), near.residuals.shape[1]
+    usual = np.median(squares[kept]) / chi_square_quantile(0.5, size)
+    if seen.apart:  # few poses are met better than others like them would be
+        usual = max(usual, fit.noise)
+    return np.asarray(squares <= _OUTLIER_SDS**2 * size / 3 * max(usual, 1e-12))
 
 
 @dataclass(frozen=True, eq=False)
-class _Linear:
+class LinearModel:
     """The model near a fit, of n poses with m residuals each."""
 
     residuals: Floats  # (n, m) measured minus modelled
@@ -127,7 +179,7 @@ class _Linear:
     covariances: Floats  # (n, m, m) as the poses state
 
     @classmethod
-    def of(cls, fit: FrameFit, seen: Sightings) -> _Linear:
+    def of(cls, fit: FrameFit, seen: Sightings) -> LinearModel:
         """Linearise."""
         base, flange, poses = fit.world_from_base, fit.body_from_flange, seen.poses.world_from_body
         reported, twist, by_links = seen.flange(fit.links, fit.clocks_s)
@@ -172,10 +224,10 @@ class _Linear:
 
 def _with_links(fit: FrameFit, seen: Sightings) -> FrameFit:
     """Everything at once; the links' standard deviations and the noise as well."""
-    known = _precision(seen, fit.link_sd)[: FRAMES + len(seen.shared)]
+    known = precision(seen, fit.link_sd)[: FRAMES + len(seen.shared)]
     found = LinkEffects(known, known, fit.link_sd, fit.noise)
     for step in range(_STEPS):
-        near = _Linear.of(fit, seen)
+        near = LinearModel.of(fit, seen)
         _, N, g = near.normal()
         squares = float(squared_mahalanobis(near.residuals, near.covariances).sum())
         found = found.solved((N, g, squares, near.residuals.size), known, fit.links, fit.share)
@@ -189,36 +241,47 @@ def _without_links(fit: FrameFit, seen: Sightings) -> FrameFit:
     """Frames and clocks alone, weighted by all that is left; its covariance counts the links."""
     free = FRAMES + len(seen.shared)
     fitted = replace(fit, links=np.zeros_like(fit.links))
+    known = precision(seen, fit.link_sd)[:free]
     for _ in range(_STEPS):
-        near = _Linear.of(fitted, seen)
-        spread = near.residuals.T @ near.residuals / len(near.residuals)
-        weighted, N, g = near.normal(spread)
+        near = LinearModel.of(fitted, seen)
+        weighted, N, g = near.normal(_spread(near, fit))
         x = np.zeros(N.shape[0])
-        precision = np.diag(_precision(seen, fit.link_sd)[:free])
-        x[:free] = np.linalg.solve(N[:free, :free] + precision, g[:free])
+        inverse = posterior_covariance(N[:free, :free], known)
+        x[:free] = inverse @ g[:free]
         fitted = _moved(fitted, seen, x)
         if np.abs(x).max() < 1e-6:
             break
-    solved = np.linalg.solve(N[:free, :free] + precision, N[:free])
-    by_links = solved[:, free:] * fit.link_sd
-    gains = np.linalg.solve(N[:free, :free] + precision, weighted[:, :free])
-    noise = _of_noise(gains @ near.by_pose, _Linear.of(fit, seen), seen)
-    held = np.diag(precision)  # what only this holds is as uncertain as it says
-    unknown = np.diag(np.divide(1.0, held, out=np.zeros_like(held), where=held > 0))
-    covariance = by_links @ by_links.T + noise + unknown
+    by_links = (inverse @ N[:free])[:, free:] * fit.link_sd
+    noise = _of_noise(
+        inverse @ weighted[:, :free] @ near.by_pose, LinearModel.of(fit, seen), fit, seen
+    )
+    open_ = (inverse * known) @ inverse  # what only this holds is as uncertain as it says
+    covariance = by_links @ by_links.T + noise + open_
     return replace(fitted, covariance=covariance, frames_by_links=by_links[:FRAMES])
 
 
-def _covariance(near: _Linear, fit: FrameFit, seen: Sightings) -> Floats:
+def _spread(near: LinearModel, fit: FrameFit) -> Floats:
+    """Covariance (m, m) of what is left: as seen, and as links of the usual size make it.
+
+    Few residuals say little of it themselves: the frames are fitted to them.
+    """
+    n = len(near.residuals)
+    links = near.slopes[:, :, near.slopes.shape[2] - len(fit.links) :] * fit.link_sd
+    model = np.einsum("nak,nbk->ab", links, links) / n
+    few = near.slopes.shape[2] ** 2 / n  # so many of the model's count beside n that are seen
+    return np.asarray((near.residuals.T @ near.residuals + few * model) / (n + few))
+
+
+def _covariance(near: LinearModel, fit: FrameFit, seen: Sightings) -> Floats:
     """Of everything, links fitted: by the noise, and by what the links' prior leaves open."""
     weighted, N, _ = near.normal()
-    precision = np.diag(_precision(seen, fit.link_sd))
-    inverse = np.linalg.inv(N * (fit.share / fit.noise) + precision)
-    noise = _of_noise(inverse @ weighted @ near.by_pose * (fit.share / fit.noise), near, seen)
-    return np.asarray(noise + inverse @ precision @ inverse)
+    known = precision(seen, fit.link_sd)
+    inverse = posterior_covariance(N * (fit.share / fit.noise), known)
+    gains = inverse @ weighted @ near.by_pose * (fit.share / fit.noise)
+    return np.asarray(_of_noise(gains, near, fit, seen) + (inverse * known) @ inverse)
 
 
-def _of_noise(gains: Floats, near: _Linear, seen: Sightings) -> Floats:
+def _of_noise(gains: Floats, near: LinearModel, fit: FrameFit, seen: Sightings) -> Floats:
     """Covariance of sums of the poses' errors, weighted by `gains` (n, m, 6).
 
     What is left beyond the noise that a run states (slack, gears, vibration) is alike for a while:
@@ -230,6 +293,8 @@ def _of_noise(gains: Floats, near: _Linear, seen: Sightings) -> Floats:
         rows = np.flatnonzero(seen.recording == index)
         own, poses = white[rows], seen.poses.take(rows)
         level = float(np.mean(own**2)) * len(rows) / independent_count(own)
+        if seen.apart:
+            level = fit.noise
         scatter = float(np.mean(np.diff(own, axis=0) ** 2) / 2)
         if shared is not None:
             total += shared.of_sum(gains[rows], poses, scatter)
@@ -238,12 +303,11 @@ def _of_noise(gains: Floats, near: _Linear, seen: Sightings) -> Floats:
     return total
 
 
-def _precision(seen: Sightings, link_sd: Floats) -> Floats:
-    """What is known beforehand of every parameter: nothing, but of links and unseen turns."""
-    known = np.zeros(FRAMES + len(seen.shared))
-    known[9:FRAMES] = 0.0 if seen.chain else _UNKNOWN_RAD**-2
-    known[FRAMES:] = _EXACT_S**-2 if seen.clocks_known else 0.0
-    return np.concatenate([known, link_sd**-2.0])
+def precision(seen: Sightings, link_sd: Floats) -> Floats:
+    """What is known beforehand of every parameter: next to nothing, but of links."""
+    frames = np.resize([_UNKNOWN_MM] * 3 + [_UNKNOWN_RAD] * 3, FRAMES)
+    clocks = np.full(len(seen.shared), _EXACT_S if seen.clocks_known else _UNKNOWN_S)
+    return np.asarray(np.concatenate([frames, clocks, link_sd]) ** -2.0)
 
 
 def _moved(fit: FrameFit, seen: Sightings, x: Floats) -> FrameFit:
@@ -260,21 +324,38 @@ def _moved(fit: FrameFit, seen: Sightings, x: Floats) -> FrameFit:
 def _closed_form(seen: Sightings) -> tuple[RigidTransform, RigidTransform]:
     """world_from_base and body_from_flange: rotations first, then translations."""
     poses = seen.poses.world_from_body
-    hand, _, _ = seen.flange(np.zeros(seen.links), np.zeros(len(seen.shared)))
-    flange = np.eye(3)
+    hand = seen.hand()
     if seen.chain:
-        base, flange, _ = align_turns(hand.rotation, poses.rotation)
+        starts = [pair[:2] for pair in _turn_starts(hand.rotation, poses.rotation)]
     else:  # R_pose p + t = A reported + b, linear in p, A and b
         unit = np.broadcast_to(np.eye(3), poses.rotation.shape)
         spread = np.einsum("nk,ij->nikj", hand.translation, np.eye(3)).reshape(-1, 3, 9)
         rows = np.concatenate([spread, unit, -poses.rotation], axis=2).reshape(-1, 15)
-        base = _nearest_rotation(np.linalg.lstsq(rows, poses.translation.ravel())[0][:9])
-    rows = np.concatenate(
-        [np.broadcast_to(np.eye(3), poses.rotation.shape), -poses.rotation], axis=2
-    )
-    wanted = poses.translation - hand.translation @ base.T
-    x = np.linalg.lstsq(rows.reshape(-1, 6), wanted.ravel())[0]
-    return RigidTransform(base, x[:3]), RigidTransform(flange, x[3:])
+        flat = np.linalg.lstsq(rows, poses.translation.ravel())[0][:9]
+        starts = [(_nearest_rotation(flat), np.eye(3))]
+    return min((_with_shifts(hand, poses, *turns) for turns in starts), key=lambda found: found[2])[
+        :2
+    ]
+
+
+def _with_shifts(
+    hand: RigidTransform, poses: RigidTransform, base: Floats, flange: Floats
+) -> tuple[RigidTransform, RigidTransform, float]:
+    """Both translations to rotations world_from_base and body_from_flange; what is left, mm."""
+    turned = np.broadcast_to(np.eye(3), poses.rotation.shape)
+    rows = np.concatenate([turned, -poses.rotation], axis=2).reshape(-1, 6)
+    wanted = (poses.translation - hand.translation @ base.T).ravel()
+    x = np.linalg.lstsq(rows, wanted, rcond=_LEAST_SINGULAR)[0]
+    left = float(np.linalg.norm(wanted - rows @ x))
+    return RigidTransform(base, x[:3]), RigidTransform(flange, x[3:]), left
+
+
+def quick_miss(seen: Sightings, lever_mm: float) -> float:
+    """What the closed form leaves, mm RMS; turns count at a lever."""
+    base, flange = _closed_form(seen)
+    model = base @ seen.hand() @ flange.inverse()
+    r = seen.poses.world_from_body.difference(model)
+    return rms_length(r * np.repeat([1.0, lever_mm], 3))
 
 
 def align_turns(hand: Floats, pose: Floats) -> tuple[Floats, Floats, float]:
@@ -282,10 +363,30 @@ def align_turns(hand: Floats, pose: Floats) -> tuple[Floats, Floats, float]:
 
     Those are (n, 3, 3); last the angle, rad RMS, by which they miss each other.
     """
+    return min(_turn_starts(hand, pose), key=lambda found: found[2])
+
+
+def _turn_starts(hand: Floats, pose: Floats) -> list[tuple[Floats, Floats, float]]:
+    """What `align_turns` returns: once, or several that are as good, if the turns leave one open.
+
+    So they do if all are about one axis, or if there are none.
+    """
     # With vec by columns, vec(R_base) = (R_hand x R_pose) vec(R_flange).
-    u, sizes, v = np.linalg.svd(np.einsum("nab,ncd->acbd", hand, pose).reshape(9, 9))
-    apart = np.sqrt(3 * max(0.0, 1 - sizes[0] / len(hand)))
-    return _nearest_rotation(u[:, 0]), _nearest_rotation(v[0]), float(apart)
+    K = np.einsum("nab,ncd->acbd", hand, pose).reshape(9, 9) / len(hand)
+    u, sizes, v = np.linalg.svd(K)
+    pairs = [(_nearest_rotation(u[:, 0]), _nearest_rotation(v[0]))]
+    if sizes[1] > _ALIKE * sizes[0]:
+        turns = Rotation.random(_START_TURNS, rng=0).as_matrix()
+        pairs += [(turn, np.eye(3)) for turn in turns]
+    out = []
+    for base, flange in pairs:
+        for _ in range(_STEPS if len(pairs) > 1 else 0):
+            flange = _nearest_rotation(K.T @ base.T.ravel())
+            base = _nearest_rotation(K @ flange.T.ravel())
+        agreed = float(base.T.ravel() @ K @ flange.T.ravel())
+        out.append((base, flange, float(np.sqrt(max(0.0, 3 - agreed)))))
+    best = min(found[2] for found in out)
+    return [found for found in out if found[2] < best + _TURN_TOLERANCE_RAD]
 
 
 def _nearest_rotation(columns: Floats) -> Floats:

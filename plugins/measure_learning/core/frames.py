@@ -24,11 +24,13 @@ class RobotFrame:
     robot: str
     world_from_base: RigidTransform
     flange_from_body: RigidTransform
-    clock_offsets_s: Mapping[str, float]  # robot minus camera time, of every recording
+    clock_offsets_s: Mapping[str, float]  # robot minus camera time, of recordings; none of stops
     covariance: Floats  # (m, m) in the `perturb` charts of both, s, and mm and rad of links
     covariance_order: tuple[str, ...]  # what its rows are
     judgement: Mapping[str, Any]
     kinematics: Mapping[str, Any] | None = None  # the links' errors, if they were fitted
+    # cameras on the flange: the world is the body's frame then, and the body that of the cameras.
+    eye_in_hand: bool = False
 
     def values(self) -> dict[str, Any]:
         """As files hold it; of several recordings `clock_offset_s` is a table by their names."""
@@ -40,7 +42,8 @@ class RobotFrame:
         }
         return {
             "robot": self.robot,
-            "clock_offset_s": clocks if len(clocks) > 1 else next(iter(clocks.values())),
+            **({"eye_in_hand": True} if self.eye_in_hand else {}),
+            "clock_offset_s": clocks if len(clocks) != 1 else next(iter(clocks.values())),
             "covariance_order": self.covariance_order,
             "covariance": self.covariance,
             **poses,
@@ -53,6 +56,8 @@ class RobotFrame:
 
         EstimatorError: the track has no rotations, and the point is not the body's origin.
         """
+        if self.eye_in_hand and track.rotations is not None:
+            track = track.inverted()
         base_from_world = self.world_from_base.inverse()
         point, turns = self.flange_from_body.inverse().translation, track.rotations
         moved, covariances = track.positions_mm, track.covariances
@@ -82,6 +87,7 @@ class _RegisteredFile(FileModel):
     flange_from_body: StatedTransform
     judgement: dict[str, Any]
     kinematics: dict[str, Any] | None = None
+    eye_in_hand: bool = False
 
 
 def write_frame(path: Path, frame: RobotFrame) -> None:
@@ -102,4 +108,5 @@ def read_frame(path: Path) -> RobotFrame:
         tuple(file.covariance_order),
         file.judgement,
         file.kinematics,
+        file.eye_in_hand,
     )

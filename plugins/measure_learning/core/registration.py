@@ -3,47 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.geometry import RigidTransform, skew
-from measure.metrology.poses import PoseTable, SharedErrors
-from measure.robots import SerialChain
+from measure.geometry import skew
+from measure.robots import SerialChain, StateSchema
 from measure.robots.chain import TURNS, link_names
-from measure_learning.core.assemble import PoseTrack, complete_states, interpolate
-from measure_learning.core.clock import estimate_offset
 from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, fit_frames
 from measure_learning.core.frames import RobotFrame
-from measure_learning.core.labels import chain_doubt, check_turns
-from measure_learning.robots import StateLog
+from measure_learning.core.judged_frames import judgement
+from measure_learning.core.labels import check_turns
+from measure_learning.core.sightings import Recording as Recording
+from measure_learning.core.sightings import clock_of, moving, own_delays_s, rough_clock_of
+from measure_learning.core.slips import changed, explain
+from measure_learning.core.stops import LEAST_STOPS, Stops, at_rest, is_standing, stop_sightings
 
 _LEAST_POSES, _LEAST_S = 30, 15.0
-_LEAST_TURN_DEG = 15.0  # about a second axis: turns about one alone leave a shift along it open
 _LEAST_WAY_MM = 20.0  # across the longest way, of a robot without known kinematics
-_MOST_POSES = 3000  # more add little, and cost much
-_LONGEST_GAP_S, _RATE_STEP_S = 0.05, 0.01
-_PATH_MM_PER_RAD = 100.0
-_SAME_CLOCK_S, _ROUNDS = 2e-4, 3
+_SAME_CLOCK_S = 2e-4
+_ROUNDS = (400, 400, 3000)
+"""Poses that are fitted, until the clock stays: few at first; more than the last cost much."""
 _WRONG_CHAIN_MM = 5.0  # RMS left, most of it by links: no arm is built so badly
 _MOST_LINK_MM = 100.0  # error of a link that a wrong table may hold; a mirrored world needs more
 _MOST_APART_DEG = 15.0  # RMS of rotations; slack and slipping drives of a wrist leave less
-_WEAK_MM, _WEAK_RAD = 2.0, float(np.deg2rad(0.3))  # SD from which a frame is told to be uncertain
-_NOT_SHOWN = 0.7  # share of its SD that a link's error keeps if the motion does not show it
+_MOST_LEFT = 0.25  # share of the motion (RMS) that is left where base and tool explain nothing
+_LEAST_KEPT = 0.7  # of the poses; more outliers than the rest mean another cause
 _BLOCKS = ("world_from_base", "flange_from_body")
 _AXES = ("x_mm", "y_mm", "z_mm", "x_rad", "y_rad", "z_rad")
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """Poses of the body on the tool, and the robot's log."""
-
-    track: PoseTrack
-    log: StateLog
-    shared: SharedErrors | None = None  # what the poses err by together, if that is known
 
 
 @dataclass(frozen=True)
@@ -54,66 +44,117 @@ class RegisterOptions:
         kinematics: also fit the errors of the robot's links, each near its usual size.
         clock_offset_s: robot time minus camera time, if known; else estimated from the motion.
         largest_offset_s: search the offset within plus and minus this.
+        eye_in_hand: the cameras are on the flange, and the body stands in the world.
     """
 
     kinematics: bool = False
     clock_offset_s: float | None = None
     largest_offset_s: float = 5.0
+    eye_in_hand: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("clock_offset_s", "largest_offset_s"):
+            value = getattr(self, name)
+            if value is not None and not abs(value) < 1e11:
+                raise EstimatorError(f"{name} is {value:g}: expected a number of seconds")
+        if self.largest_offset_s < 0:
+            raise EstimatorError(
+                f"largest_offset_s is {self.largest_offset_s:g}: expected a number that is not "
+                "negative"
+            )
 
 
 def register(recordings: Sequence[Recording], options: RegisterOptions) -> RobotFrame:
     """Find world_from_base, flange_from_body and the clock of every recording, all at once.
 
     The flange is the point that the robot reports, turned as its kinematics say. Where these are
-    not known it does not turn, and flange_from_body holds a point alone. EstimatorError: poses
-    without rotations, a motion that shows too little, clocks that do not match, kinematics that are
-    not known or do not fit. The recordings are of one robot; the cameras and the body stayed where
-    they were.
+    not known it does not turn, and flange_from_body holds a point alone. Where poses or states are
+    those of a robot that stood still, rests are matched and no clock is found. What the motion does
+    not determine is named in the judgement. EstimatorError: poses without rotations, too few of
+    them, clocks that do not match, kinematics that are not known or do not fit, and poses or joints
+    that fit once a slip is undone, which is named. The recordings are of one robot; the cameras and
+    the body stayed where they were.
     """
-    clock_offset_s, kinematics = options.clock_offset_s, options.kinematics
-    schema, given = recordings[0].log.schema, clock_offset_s is not None
-    names = [r.track.name for r in recordings]
-    _refuse_unfit(recordings, kinematics)
-    clocks = np.array(
-        [
-            _clock(r, options.largest_offset_s) if clock_offset_s is None else clock_offset_s
-            for r in recordings
-        ]
-    )
-    for _ in range(_ROUNDS):
-        seen = _sightings(recordings, clocks, given)
+    schema, names = recordings[0].log.schema, [r.track.name for r in recordings]
+    _refuse_unfit(recordings, options.kinematics)
+    if options.eye_in_hand:
+        recordings = [replace(one, track=one.track.inverted()) for one in recordings]
+    given = options.clock_offset_s
+    if any(is_standing(one) for one in recordings):
+        stops = [at_rest(one, given) for one in recordings]
+        if all(stops):
+            return register_stops([one for one in stops if one], schema, options)
+    try:
+        clocks = np.array(
+            [clock_of(r, options.largest_offset_s) if given is None else given for r in recordings]
+        )
+    except EstimatorError as problem:
+        stops = [at_rest(one, given) for one in recordings]
+        if all(stops):
+            return register_stops([one for one in stops if one], schema, options)
+        raise _slip_behind(recordings, options, problem) from None
+    for most in _ROUNDS:
+        seen = moving(recordings, clocks, given is not None, most)
         _refuse_poor(seen, schema.robot)
-        if seen.chain:
-            turns = seen.poses.world_from_body.rotation, seen.chain.pose(seen.joints).rotation
-            check_turns(" and ".join(names), *turns, most_deg=_MOST_APART_DEG)
-        fit = fit_frames(seen, kinematics=kinematics)
+        _refuse_turned(seen, schema, names, options)
+        fit = fit_frames(seen, kinematics=options.kinematics)
         clocks = clocks + fit.clocks_s
-        if np.abs(fit.clocks_s).max() < _SAME_CLOCK_S:
+        if most > len(seen.poses) and np.abs(fit.clocks_s).max() < _SAME_CLOCK_S:
             break
-    if schema.chain and kinematics:
-        _refuse_unlike(fit, schema.chain)
-    elif schema.chain:
-        _refuse_wrong(fit, seen, schema.chain)
-    covariance, order = _in_file(fit, names, schema.chain if kinematics else None)
+    _refuse_slips(fit, seen, schema, options)
+    slack = own_delays_s(fit, seen)
+    diagonal = np.arange(FRAMES, FRAMES + len(names))
+    covariance = fit.covariance.copy()
+    covariance[diagonal, diagonal] += np.square(slack)
+    found = replace(fit, covariance=covariance)
+    return _frame(found, seen, schema, dict(zip(names, clocks.tolist(), strict=True)), options)
+
+
+def register_stops(
+    stops: Sequence[Stops], schema: StateSchema, options: RegisterOptions
+) -> RobotFrame:
+    """The same from pairs of pose and state of a robot at rest; see `register`."""
+    if options.kinematics and schema.chain is None:
+        raise _no_chain(schema)
+    seen = stop_sightings(stops, schema)
+    if len(seen.poses) < LEAST_STOPS:
+        raise EstimatorError(
+            f"{' and '.join(one.name for one in stops)}: {len(seen.poses)} poses with the robot's "
+            f"joints: at least {LEAST_STOPS} at rest are needed, better 15, each turned by 30 deg "
+            "or more against the others"
+        )
+    _refuse_turned(seen, schema, [one.name for one in stops], options)
+    fit = fit_frames(seen, kinematics=options.kinematics)
+    _refuse_slips(fit, seen, schema, options)
+    return _frame(fit, seen, schema, {}, options)
+
+
+def _frame(
+    fit: FrameFit,
+    seen: Sightings,
+    schema: StateSchema,
+    clocks_s: dict[str, float],
+    options: RegisterOptions,
+) -> RobotFrame:
+    kinematics = options.kinematics
+    covariance, order = _in_file(fit, clocks_s, schema.chain if kinematics else None)
     return RobotFrame(
         schema.robot,
         fit.world_from_base,
         fit.body_from_flange.inverse(),
-        dict(zip(names, clocks.tolist(), strict=True)),
+        clocks_s,
         covariance,
         order,
-        _judgement(fit, seen, kinematics),
+        judgement(fit, seen, kinematics),
         _kinematics(fit, schema.chain) if kinematics and schema.chain else None,
+        eye_in_hand=options.eye_in_hand,
     )
 
 
 def _refuse_unfit(recordings: Sequence[Recording], kinematics: bool) -> None:
     schema = recordings[0].log.schema
     if kinematics and schema.chain is None:
-        raise EstimatorError(
-            f"--kinematics: those of {schema.robot} are not known: describe its joints with "
-            "alpha_deg in robot.toml"
-        )
+        raise _no_chain(schema)
     for one in recordings:
         if one.track.rotations is None:
             raise EstimatorError(
@@ -122,83 +163,48 @@ def _refuse_unfit(recordings: Sequence[Recording], kinematics: bool) -> None:
             )
 
 
-def _clock(one: Recording, largest_s: float) -> float:
-    """By the turns, which are the same wherever on the tool the body is; else by the places."""
-    track, log, chain = one.track.measured(), one.log, one.log.schema.chain
-    assert track.rotations is not None
-    complete_states(track.name, log)  # refuses a log without any
-    first, last = track.times_s[[0, -1]] + (-2 * largest_s, 2 * largest_s)
-    rows = np.flatnonzero((log.times_s > first) & (log.times_s < last) & log.complete)
-    if chain is not None and len(rows) > 1:
-        turned = chain.pose(log.schema.joint_positions(log.states_at(rows))).rotation
-        paths = (_turning_path(track.rotations), log.times_s[rows], _turning_path(turned))
-        try:
-            return estimate_offset(track.times_s, *paths, largest_s=largest_s).offset_s
-        except EstimatorError:  # the wrist hardly turned, or its encoders slip
-            pass
-    robot = log.times_s[log.complete], log.reported_mm[log.complete]
-    places = track.positions_mm
-    return estimate_offset(track.times_s, places, *robot, largest_s=largest_s).offset_s
-
-
-def _turning_path(rotations: Floats) -> Floats:
-    """A path (n, 3) whose velocity is the angular velocity, along the axes of the target frame."""
-    steps = RigidTransform(rotations[1:] @ np.swapaxes(rotations[:-1], 1, 2), np.zeros(3)).rotvec
-    return _PATH_MM_PER_RAD * np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-
-
-def _sightings(recordings: Sequence[Recording], clocks_s: Floats, given: bool) -> Sightings:
-    """Poses and states of the same instants; poses without a state near in time are left out."""
-    schema = recordings[0].log.schema
-    measured = [r.track.measured() for r in recordings]
-    every = -(-sum(len(track.times_s) for track in measured) // _MOST_POSES)
-    rows = []
-    for k, (one, track) in enumerate(zip(recordings, measured, strict=True)):
-        table = track.table().take(slice(None, None, every))
-        at = table.times_s + clocks_s[k]
-        around = (at + _RATE_STEP_S * np.array([[0.0], [1.0], [-1.0]])).ravel()
-        states, near = interpolate(complete_states(track.name, one.log), around, _LONGEST_GAP_S)
-        states, ahead, behind = states.reshape(3, len(at), -1)
-        usable = np.asarray(near.reshape(3, -1).all(axis=0))
-        read = schema.joint_positions if schema.chain else schema.position_mm
-        rates = (read(ahead) - read(behind)) / (2 * _RATE_STEP_S)
-        place, joints = schema.position_mm(states), schema.joint_positions(states)
-        if (doubt := chain_doubt(schema.chain, joints[usable], place[usable])) is not None:
-            raise EstimatorError(f"{track.name}: {doubt}")
-        P = table.world_from_body
-        index = np.full(len(at), k)
-        columns = (table.times_s, index, P.rotation, P.translation, table.covariances)
-        rows.append([column[usable] for column in (*columns, place, joints, rates)])
-    times, index, turn, shift, covariances, place, joints, rates = map(
-        np.concatenate, zip(*rows, strict=True)
+def _no_chain(schema: StateSchema) -> EstimatorError:
+    return EstimatorError(
+        f"--kinematics: those of {schema.robot} are not known: describe its joints with "
+        "alpha_deg in robot.toml"
     )
-    poses = PoseTable(times, RigidTransform(turn, shift), covariances)
-    shared = tuple(r.shared for r in recordings)
-    return Sightings(poses, index, place, joints, rates, schema.chain, shared, given)
+
+
+def _slip_behind(
+    recordings: Sequence[Recording], options: RegisterOptions, problem: EstimatorError
+) -> EstimatorError:
+    """What a recording is refused for whose clock no motion shows: a slip, if one explains it."""
+    schema = recordings[0].log.schema
+    for one in recordings:
+        if schema.chain is None or (rough := rough_clock_of(one)) is None:
+            continue
+        try:
+            seen = moving([one], np.array([rough]), False, _ROUNDS[0])
+        except EstimatorError as other:
+            return other
+        if len(seen.poses) < LEAST_STOPS:
+            continue
+        if (cause := explain(seen, _joint_names(schema), options.eye_in_hand)) is not None:
+            return EstimatorError(f"{one.track.name}: {cause}")
+    return problem
+
+
+def _joint_names(schema: StateSchema) -> list[str]:
+    return [reading.terms[0][0] for reading in schema.joints]
 
 
 def _refuse_poor(seen: Sightings, robot: str) -> None:
-    """Name what is missing of a motion that does not show base and tool: poses, seconds, turns."""
+    """Name what is missing of a motion in which clocks are to be found: poses, seconds, a way."""
     span = sum(
         float(np.ptp(times)) if len(times := seen.poses.times_s[seen.recording == k]) else 0.0
         for k in range(len(seen.shared))
     )
-    if len(seen.poses) < _LEAST_POSES or span < _LEAST_S:
+    least, least_s = (LEAST_STOPS, 0.0) if seen.clocks_known else (_LEAST_POSES, _LEAST_S)
+    if len(seen.poses) < least or span < least_s:
         raise EstimatorError(
             f"{len(seen.poses)} poses with a state of the robot over {span:.1f} s: at least "
-            f"{_LEAST_POSES} over {_LEAST_S:g} s are needed: record the moving robot for longer"
-        )
-    flange = seen.flange(np.zeros(seen.links), np.zeros(len(seen.shared)))[0]
-    turned, axes = _turned_deg(
-        flange.rotation if seen.chain else seen.poses.world_from_body.rotation
-    )
-    if turned[1] < _LEAST_TURN_DEG:
-        x, y, z = axes[:, 1]
-        raise EstimatorError(
-            f"the tool was turned by {turned[0]:.0f} deg about one axis, and across it by "
-            f"{turned[1]:.0f} and {turned[2]:.0f} deg: base and tool cannot be told apart; turn "
-            f"it by {_LEAST_TURN_DEG:g} deg or more about a second axis, such as ({x:.2f}, "
-            f"{y:.2f}, {z:.2f}) of the {'flange' if seen.chain else 'body'}"
+            f"{least} over {least_s:g} s are needed: record the moving robot for longer, or let it "
+            f"stand at {LEAST_STOPS} or more places (--stops)"
         )
     place = seen.reported_mm - seen.reported_mm.mean(axis=0)
     ways = 4 * np.linalg.svd(place, compute_uv=False) / np.sqrt(len(place))
@@ -210,14 +216,50 @@ def _refuse_poor(seen: Sightings, robot: str) -> None:
         )
 
 
-def _turned_deg(rotations: Floats) -> tuple[Floats, Floats]:
-    """How far something was turned about its principal axes (3,), and these as columns."""
-    u, _, v = np.linalg.svd(rotations.sum(axis=0))
-    middle = u * [1.0, 1.0, np.sign(np.linalg.det(u @ v))] @ v
-    turns = RigidTransform(middle.T @ rotations, np.zeros(3)).rotvec
-    axes = np.linalg.svd(turns - turns.mean(axis=0), full_matrices=False)[2].T
-    low, high = np.percentile(turns @ axes, (1, 99), axis=0)
-    return np.degrees(high - low), axes
+def _refuse_turned(
+    seen: Sightings, schema: StateSchema, names: Sequence[str], options: RegisterOptions
+) -> None:
+    """Refuse rotations that no base and tool bring together, with the slip that explains it."""
+    if seen.chain is None:
+        return
+    turns = seen.poses.world_from_body.rotation, seen.chain.pose(seen.joints).rotation
+    try:
+        check_turns(" and ".join(names), *turns, most_deg=_MOST_APART_DEG)
+    except EstimatorError as problem:
+        cause = explain(seen, _joint_names(schema), options.eye_in_hand)
+        if cause is None:
+            raise
+        raise EstimatorError(f"{' and '.join(names)}: {cause}") from problem
+
+
+def _refuse_slips(
+    fit: FrameFit, seen: Sightings, schema: StateSchema, options: RegisterOptions
+) -> None:
+    """Refuse what is left, if it is too much, or if one slip explains most of it."""
+    alone, kept = fit.alone or fit, float(fit.kept.mean())
+    left = alone.rms_mm(seen.take(fit.kept))
+    places = seen.poses.world_from_body.translation
+    spread = float(np.linalg.norm(places.std(axis=0)))
+    if kept < _LEAST_KEPT or left > max(_MOST_LEFT * spread, _WRONG_CHAIN_MM):
+        if (cause := explain(seen, _joint_names(schema), options.eye_in_hand)) is not None:
+            raise EstimatorError(cause)
+        if left > _MOST_LEFT * spread:
+            raise EstimatorError(
+                f"base, tool and clock leave {left:.1f} mm RMS of a motion of {spread:.0f} mm: is "
+                "--robot the right one, and is this the log of this recording?"
+            )
+    seen = seen.take(fit.kept)
+    if (cause := changed(alone, seen)) is not None:
+        raise EstimatorError(cause)
+    if schema.chain and options.kinematics:
+        _refuse_unlike(fit, schema.chain)
+    elif schema.chain:
+        _refuse_wrong(fit, seen, schema.chain)
+    if kept < _LEAST_KEPT:
+        raise EstimatorError(
+            f"{100 * (1 - kept):.0f} % of the poses are not where base and tool of the others put "
+            "them: did the cameras, the base or the body move, or is another body taken for it?"
+        )
 
 
 def _refuse_unlike(fit: FrameFit, chain: SerialChain) -> None:
@@ -250,79 +292,18 @@ def _refuse_wrong(fit: FrameFit, seen: Sightings, chain: SerialChain) -> None:
 
 
 def _in_file(
-    fit: FrameFit, names: Sequence[str], chain: SerialChain | None
+    fit: FrameFit, names: Sequence[str] | dict[str, float], chain: SerialChain | None
 ) -> tuple[Floats, tuple[str, ...]]:
     """Covariance of world_from_base, flange_from_body, clocks and links, and its order."""
     J, turn = np.eye(len(fit.covariance)), fit.body_from_flange.rotation.T
     J[6:FRAMES, 6:FRAMES] = np.kron(np.eye(2), -turn)  # as in UncertainTransform.inverse
     J[6:9, 9:FRAMES] = -turn @ skew(fit.body_from_flange.translation)
+    if not names:  # stops: no clock was found
+        J = np.delete(J, np.arange(FRAMES, FRAMES + len(fit.clocks_s)), axis=0)
     frames = [f"{block}.{axis}" for block in _BLOCKS for axis in _AXES]
     links = [] if chain is None else [n.replace("_deg", "_rad") for n in link_names(chain)]
     order = (*frames, *(f"clock_offset_s.{name}" for name in names), *links)
     return J @ fit.covariance @ J.T, order
-
-
-def _judgement(fit: FrameFit, seen: Sightings, kinematics: bool) -> dict[str, Any]:
-    ends = np.sqrt(np.trace(seen.poses.covariances[:, :3, :3], axis1=1, axis2=2))
-    return {
-        "poses": len(seen.poses),
-        "rms_mm": fit.rms_mm(seen),
-        "held_out_rms_mm": _held_out(seen, kinematics),
-        "stated_noise_mm": float(np.sqrt(np.mean(ends**2))),
-        "not_separable": _not_separable(fit, seen, kinematics),
-    }
-
-
-def _held_out(seen: Sightings, kinematics: bool) -> float:
-    """RMS of what halves in time leave of each other, mm; NaN if a half shows too little."""
-    times, squares = seen.poses.times_s, []
-    middle = [np.median(times[seen.recording == k]) for k in range(len(seen.shared))]
-    late = times > np.array(middle)[seen.recording]
-    for half in (late, ~late):
-        if _turned_deg(seen.poses.world_from_body.rotation[half])[0][1] < _LEAST_TURN_DEG / 3:
-            return float("nan")
-        fit = fit_frames(seen.take(half), kinematics=kinematics)
-        squares.append(fit.rms_mm(seen.take(~half)) ** 2)
-    return float(np.sqrt(np.mean(squares)))
-
-
-def _not_separable(fit: FrameFit, seen: Sightings, kinematics: bool) -> list[str]:
-    """What remains uncertain of the frames, and why, in sentences."""
-    said = []
-    if seen.chain is None:
-        said.append("how the flange is turned: the robot's kinematics are not known")
-    sd = np.sqrt(np.diag(fit.covariance))
-    for block, start in (("world_from_base", 0), ("body_from_flange", 6)):
-        place, turn = sd[start : start + 3], sd[start + 3 : start + 6]
-        if seen.chain is None and start:
-            turn = np.zeros(3)
-        if np.linalg.norm(place) < _WEAK_MM and np.linalg.norm(turn) < _WEAK_RAD:
-            continue
-        known = f"{block} is known to {np.linalg.norm(place):.1f} mm and "
-        known += f"{np.degrees(np.linalg.norm(turn)):.2f} deg (SD, 3-D)"
-        said.append(f"{known}: {_reason(fit, start)}")
-    if kinematics and seen.chain:
-        kept = sd[-seen.links :] / fit.link_sd > _NOT_SHOWN
-        names = np.array(link_names(seen.chain))[kept]
-        if len(names):
-            said.append(f"not shown by this motion: {', '.join(names)}")
-    return said
-
-
-def _reason(fit: FrameFit, start: int) -> str:
-    """Why six parameters are uncertain: constant errors of joints, or too little motion."""
-    rows = slice(start, start + 6)
-    scale = np.diag(fit.covariance)[rows]
-    by_joint = (fit.frames_by_links[rows] ** 2 / scale[:, None]).reshape(6, -1, 6).sum(axis=(0, 2))
-    if by_joint.sum() < 3.0:  # of six: less than half of the variance
-        return "this motion shows no more; turn and move the tool further"
-    first = np.argsort(-by_joint)[: max(1, int(np.sum(by_joint > by_joint.max() / 3)))]
-    joints = ", ".join(str(k + 1) for k in sorted(first))
-    what = "base" if start == 0 else "tool"
-    return (
-        f"constant errors of joints {joints} move the tip as another {what} would, and cannot be "
-        f"separated from it: labels are relative to the fitted {what}; else measure it by markers"
-    )
 
 
 def _kinematics(fit: FrameFit, chain: SerialChain) -> dict[str, Any]:

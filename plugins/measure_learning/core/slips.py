@@ -1,0 +1,231 @@
+"""Slips of a registration, each undone in turn: the one that makes all fit is the cause.
+
+Two kinds. What is wrong altogether (axes of a left hand, joints in another order) is looked for by
+the closed form, which needs no start. What is wrong by a little (the scale of the cameras, a camera
+that was pushed) is one more unknown of the fit.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from measure.arrays import Floats, rms_length
+from measure.errors import DegenerateGeometryError
+from measure.geometry import RigidTransform, skew
+from measure.geometry.covariance import inverted
+from measure.geometry.normal_equations import posterior_covariance
+from measure.robots import SerialChain
+from measure_learning.core.frame_fit import (
+    FRAMES,
+    FrameFit,
+    LinearModel,
+    Sightings,
+    fit_frames,
+    precision,
+    quick_miss,
+)
+
+_COMPARED, _FITTED = 60, 120  # poses by which slips are ranked, and the best of them fitted
+_FINALISTS = 4
+_LEVER_MM = 100.0  # a turn counts as what it moves at this distance
+_BETTER = 3.0  # times less must be left once a slip is undone
+_MOST_LEFT = 0.1  # share of the motion that may be left then
+_MOST_JOINTS = 7  # whose orders are all tried: 5040
+_EXPLAINED = 0.6  # share of the RMS up to which one more unknown leaves it, to be the cause
+_LEAST_SCALE, _MOST_SCALE = 2e-3, 0.2
+"""Errors of the cameras' scale: those of long links look like smaller ones; by more nothing fits.
+"""
+_LEAST_JUMP_MM, _LEAST_JUMP_RAD = 0.5, 0.002
+_WEIGHED = 600  # poses by which small changes are looked for
+_CUTS = 40  # places in time where a jump is looked for
+_EDGE = 0.08  # share of the poses that must be on either side
+
+
+@dataclass(frozen=True, eq=False)
+class _Slip:
+    """What may be wrong, and the sightings with it undone."""
+
+    said: str
+    cure: str
+    undone: Sightings
+
+
+def explain(seen: Sightings, joint_names: Sequence[str], eye_in_hand: bool = False) -> str | None:
+    """The slip without which base and tool explain poses that they do not explain now; or None."""
+    if seen.chain is None:
+        return None
+    few = seen.take(_some(len(seen.poses), _COMPARED))
+    ranked = sorted(
+        _slips(few, joint_names, eye_in_hand), key=lambda slip: quick_miss(slip.undone, _LEVER_MM)
+    )
+    wanted = {slip.said for slip in ranked[:_FINALISTS]}
+    more = seen.take(_some(len(seen.poses), _FITTED))
+    slips = [slip for slip in _slips(more, joint_names, eye_in_hand) if slip.said in wanted]
+    before = _left_mm(more)
+    left, best = min(((_left_mm(slip.undone), slip) for slip in slips), key=lambda pair: pair[0])
+    places = best.undone.poses.world_from_body.translation
+    spread = float(np.linalg.norm(places.std(axis=0)))
+    if left > before / _BETTER or left > max(_MOST_LEFT * spread, 1.0):
+        return None
+    return (
+        f"{best.said}: {left:.2f} mm are left once that is undone, {before:.0f} mm as it is: "
+        f"{best.cure}"
+    )
+
+
+def _some(count: int, most: int) -> slice:
+    return slice(None, None, -(-count // most))
+
+
+def _left_mm(seen: Sightings) -> float:
+    """RMS that a fit of base, tool and clock leaves, turns at a lever."""
+    try:
+        fit = fit_frames(seen, kinematics=False)
+    except (np.linalg.LinAlgError, DegenerateGeometryError):
+        return float("inf")
+    r = fit.residuals(seen.take(fit.kept))
+    return float(rms_length(r * np.repeat([1.0, _LEVER_MM], 3))) / max(fit.kept.mean(), 1e-3)
+
+
+def _slips(seen: Sightings, names: Sequence[str], eye_in_hand: bool) -> Iterator[_Slip]:
+    assert seen.chain is not None
+    poses = seen.poses
+    back, P = inverted(poses.world_from_body, poses.covariances)
+    if eye_in_hand:
+        said = "the cameras stand in the world and the body is on the tool"
+        cure = "leave out --eye-in-hand"
+    else:
+        said = "the poses fit when they are inverted"
+        cure = (
+            "if the cameras are on the flange and the body stands in the world, give --eye-in-hand;"
+            " else the table holds body_from_world: invert it"
+        )
+    undone = replace(poses, world_from_body=back, covariances=P)
+    yield _Slip(said, cure, replace(seen, poses=undone))
+    place = poses.world_from_body
+    for mirror, how in _MIRRORS:
+        both = RigidTransform(mirror @ place.rotation @ mirror, place.translation @ mirror)
+        said = "the poses are of a left hand's axes (one is mirrored, or two are exchanged)"
+        others = [(f"{how} in the poses' positions", replace(both, rotation=place.rotation))]
+        if mirror is _MIRRORS[0][0]:
+            others.append((said, both))
+        for said, other in others:
+            cure = "write positions and rotations in the same axes, of a right hand"
+            yield _Slip(said, cure, replace(seen, poses=replace(poses, world_from_body=other)))
+    yield from _joint_slips(seen, seen.chain, names)
+
+
+_MIRRORS = (
+    (np.diag([-1.0, 1, 1]), "x is mirrored"),
+    (np.diag([1.0, -1, 1]), "y is mirrored"),
+    (np.diag([1.0, 1, -1]), "z is mirrored"),
+    (np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]), "x and y are exchanged"),
+    (np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]]), "x and z are exchanged"),
+    (np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]), "y and z are exchanged"),
+)
+
+
+def _joint_slips(seen: Sightings, chain: SerialChain, names: Sequence[str]) -> Iterator[_Slip]:
+    n = chain.size
+    orders = itertools.permutations(range(n)) if n <= _MOST_JOINTS else _exchanges(n)
+    for order in itertools.islice(orders, 1, None):
+        held = ", ".join(names[k] for k in order)
+        said = f"the joints are in another order ({held} are the robot's 1 to {n})"
+        cure = "name the columns in the robot's order (robot.toml, [log] joints)"
+        yield _Slip(said, cure, _with_joints(seen, chain, list(order), np.ones(n)))
+    for count in (1, 2, 3):
+        for some in itertools.combinations(range(n), count):
+            signs = np.ones(n)
+            signs[list(some)] = -1.0
+            which = " and ".join(names[k] for k in some)
+            turn = "turns" if count == 1 else "turn"
+            said, cure = f"{which} {turn} the other way", "reverse that in the log"
+            yield _Slip(said, cure, _with_joints(seen, chain, list(range(n)), signs))
+
+
+def _exchanges(n: int) -> Iterator[tuple[int, ...]]:
+    yield tuple(range(n))
+    for a, b in itertools.combinations(range(n), 2):
+        order = list(range(n))
+        order[a], order[b] = b, a
+        yield tuple(order)
+
+
+def _with_joints(seen: Sightings, chain: SerialChain, order: list[int], signs: Floats) -> Sightings:
+    joints = seen.joints[:, order] * signs
+    return replace(
+        seen, joints=joints, rates=seen.rates[:, order] * signs, reported_mm=chain.tip_mm(joints)
+    )
+
+
+def changed(fit: FrameFit, seen: Sightings) -> str | None:
+    """A scale of the cameras, or a jump of the world or of the body, that explains what is left."""
+    near = LinearModel.of(fit, seen)
+    size, before = near.residuals.shape[1], rms_length(near.residuals[:, :3])
+    places = seen.poses.world_from_body.translation
+    by_scale = np.zeros((len(places), size, 1))
+    by_scale[:, :3, 0] = places - places.mean(axis=0)
+    found = [(*_left_with(near, by_scale, fit, seen), "", 0.0)]
+    if not seen.apart:
+        found += _jumps(near, fit, seen)
+    left, x, what, at_s = min(found, key=lambda one: one[0])
+    if not left < _EXPLAINED * before:
+        return None
+    words = f"{left:.2f} mm are left then, {before:.2f} mm as it is"
+    if not what:
+        if not _LEAST_SCALE < abs(x[0]) < _MOST_SCALE:
+            return None
+        return (
+            f"the cameras' world is {1 + x[0]:.4f} times as large as the robot's: {words}: was the "
+            "board's square size that of the print, and the body file that of the body? Calibrate "
+            "again (or the robot's links are all too long by that)"
+        )
+    mm, rad = float(np.linalg.norm(x[:3])), float(np.linalg.norm(x[3:]))
+    if mm < _LEAST_JUMP_MM and rad < _LEAST_JUMP_RAD:
+        return None
+    return (
+        f"{what} moved by {mm:.1f} mm and {np.degrees(rad):.2f} deg at {at_s:.1f} s of the "
+        f"cameras' time: {words}: register what comes before and after apart"
+    )
+
+
+def _jumps(
+    near: LinearModel, fit: FrameFit, seen: Sightings
+) -> Iterator[tuple[float, Floats, str, float]]:
+    """What jumps at several times leave, with their sizes."""
+    n, size = len(seen.poses), near.residuals.shape[1]
+    places = seen.poses.world_from_body.translation
+    by_world = np.zeros((n, size, 6))
+    by_world[:] = np.eye(6)[:size]
+    by_world[:, :3, 3:] = -skew(places - places.mean(axis=0))
+    by_tool = near.slopes[:, :, 6:FRAMES]
+    whats = [("the cameras' world, or the robot's base,", by_world)]
+    if seen.chain is not None:
+        whats.append(("the body on the tool", by_tool))
+    for recording in range(len(seen.shared)):
+        rows = np.flatnonzero(seen.recording == recording)
+        times = seen.poses.times_s[rows]
+        cuts = np.quantile(times, np.linspace(_EDGE, 1 - _EDGE, _CUTS)) if len(rows) else []
+        for (what, slopes), cut in itertools.product(whats, cuts):
+            late = (seen.recording == recording) & (seen.poses.times_s >= cut)
+            yield *_left_with(near, slopes * late[:, None, None], fit, seen), what, float(cut)
+
+
+def _left_with(
+    near: LinearModel, extra: Floats, fit: FrameFit, seen: Sightings
+) -> tuple[float, Floats]:
+    """RMS in mm that is left with more unknowns, of slopes (n, m, k), and their values (k,)."""
+    few = _some(len(near.residuals), _WEIGHED)
+    free = FRAMES + len(seen.shared)
+    slopes = np.concatenate([near.slopes[few, :, :free], extra[few]], axis=2)
+    r = near.residuals[few]
+    weights = np.linalg.inv(near.covariances[few].mean(axis=0) + r.T @ r / len(r))
+    N = np.einsum("nap,ab,nbq->pq", slopes, weights, slopes, optimize=True)
+    g = np.einsum("nap,ab,nb->p", slopes, weights, r, optimize=True)
+    known = np.concatenate([precision(seen, fit.link_sd)[:free], np.zeros(extra.shape[2])])
+    x = posterior_covariance(N, known) @ g
+    return float(rms_length((r - slopes @ x)[:, :3])), x[free:]
