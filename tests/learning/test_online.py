@@ -325,6 +325,11 @@ def test_offline_is_online(
         wanted = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2))
         np.testing.assert_allclose(each, wanted, rtol=1e-3)
         np.testing.assert_allclose(written.numbers("sd_mm")[:, 0], np.linalg.norm(each, axis=1))
+        names = ("xx", "xy", "xz", "yy", "yz", "zz")
+        upper = written.numbers(*(f"cov_{pair}_mm2" for pair in names))
+        whole = upper[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        np.testing.assert_allclose(whole, estimates.covariances, rtol=1e-3, atol=1e-6)
+        assert np.abs(upper[:, [1, 2, 4]]).max() > 1e-3  # axes are not independent
     columns.pop("tau_0")
     parquet.write_table(pa.table(labels | columns), path)
     with pytest.raises(EstimatorError, match="lacks 1 of 118 columns: tau_0"):

@@ -32,6 +32,11 @@ _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _COVARIANCE = tuple(f"cov_{'xyz'[i]}{'xyz'[j]}_mm2" for i, j in _UPPER)
 
 
+def covariance_columns(covariances: Floats) -> dict[str, Floats]:
+    """Upper triangles of (n, 3, 3) in mm^2, by the names of their columns."""
+    return {n: covariances[:, i, j] for n, (i, j) in zip(_COVARIANCE, _UPPER, strict=True)}
+
+
 def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], source: str) -> None:
     """Write `path` (Parquet) and its data card, `path` with the suffix `.card.json`."""
     import pyarrow as pa
@@ -42,7 +47,7 @@ def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], s
         "time_s": data.times_s,
         "usable": data.usable,
         **dict(zip(_ERRORS, data.errors_mm.T, strict=True)),
-        **{n: data.covariances[:, i, j] for n, (i, j) in zip(_COVARIANCE, _UPPER, strict=True)},
+        **covariance_columns(data.covariances),
         **dict(zip(data.schema.names, data.states.T.astype(np.float32), strict=True)),
     }
     table = pa.table(columns).replace_schema_metadata(

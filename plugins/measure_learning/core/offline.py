@@ -20,6 +20,7 @@ from measure.robots import StateSchema
 from measure.robots.schema import Clock, FeatureColumns
 from measure_learning.core import offsets
 from measure_learning.core.assemble import AssemblySettings, PoseTrack, assemble
+from measure_learning.core.files import covariance_columns
 from measure_learning.core.guard import GuardedModel
 from measure_learning.core.labels import Paired, chain_doubt, check_units, not_the_robot
 from measure_learning.robots import LogFile, check_robot, feature_columns, is_table, log_pieces
@@ -41,12 +42,17 @@ class StateTable:
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Estimated errors and their SDs (n, 3) mm, NaN where refused; flags; what was counted."""
+    """Estimated errors with covariances, NaN where refused; flags; what was counted."""
 
-    errors_mm: Floats
-    axis_sd_mm: Floats
-    unfamiliar: Bools
+    errors_mm: Floats  # (n, 3)
+    covariances: Floats  # (n, 3, 3) of the corrected positions, mm^2
+    unfamiliar: Bools  # (n,)
     counts: dict[str, int]
+
+    @property
+    def axis_sd_mm(self) -> Floats:
+        """SDs (n, 3) per axis."""
+        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
 
     @property
     def sd_mm(self) -> Floats:
@@ -142,8 +148,7 @@ class Corrector:
                 errors[row], covariances[row] = answer.error_mm, answer.covariance
                 unfamiliar[row] = answer.unfamiliar
                 self._take(table.states[row], float(table.times_s[row]))
-        sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-        return Corrected(errors, sd, unfamiliar, self.counts)
+        return Corrected(errors, covariances, unfamiliar, self.counts)
 
     def _take(self, state: Floats, time_s: float) -> None:
         """The true positions measured since the state before, where it was near in time."""
@@ -190,7 +195,8 @@ def correct_file(
     """Correct recorded states (see `read_states`), and count what became of them.
 
     Writes Parquet or CSV: `run, i, t_s`, the errors `ex, ey, ez` in mm with `sd_mm` (3-D) and
-    `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`.
+    `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`
+    and their covariance in the base frame, `cov_xx_mm2, cov_xy_mm2, ... cov_zz_mm2`.
     """
     corrector, schema = Corrector(model, zeroing, follower, true), model.schema
     with ExitStack() as opened:
@@ -236,6 +242,7 @@ def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> di
         "unfamiliar": corrected.unfamiliar,
         **{f"{axis}_mm": places[:, k] for k, axis in enumerate("xyz")},
         **{f"{axis}_sd_mm": corrected.axis_sd_mm[:, k] for k, axis in enumerate("xyz")},
+        **covariance_columns(corrected.covariances),
     }
 
 
