@@ -12,6 +12,7 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from measure import session
 from measure.arrays import Bytes, Floats
+from measure.bags import is_bag, split_topic
 from measure.calibration.boards import Board
 from measure.calibration.markers import MarkerKind
 from measure.calibration.targets import MarkerField, Tolerance, read_board, read_markers, read_marks
@@ -106,7 +107,8 @@ class Capture:
         """Name and BGR pixels of pictures of the board; CalibrationError if there are none."""
         assert camera.intrinsics is not None
         pattern, folder = camera.intrinsics, self.path.parent
-        if Path(pattern).suffix.lower() in _VIDEO_ENDINGS:
+        is_video = Path(pattern).suffix.lower() in _VIDEO_ENDINGS
+        if is_video or is_bag(split_topic(folder / pattern)[0]):
             yield from _video(camera.name, folder / pattern)
             return
         files = session.matching_files(folder, pattern, CalibrationError)

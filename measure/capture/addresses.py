@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from measure.bags import is_bag, split_topic
 from measure.capture.mjpeg_http import HttpSource
 from measure.capture.sources import Source
 from measure.capture.video_sources import FileSource, device_source, rtsp_source
@@ -27,7 +28,7 @@ class CameraAddress:
 
     name: str
     # http://... or https://... of a motion-JPEG stream, rtsp://..., the number or path of a camera
-    # of this machine, or a video file.
+    # of this machine, a video file, or a topic of a bag (`bag.mcap#/cam0/image_raw`).
     address: str = field(repr=False)
 
     @property
@@ -79,10 +80,11 @@ class CameraAddress:
             return rtsp_source(self.address)
         if self.is_device:
             return device_source(self.device, size_wh, rate_hz, controls)
-        if not Path(self.address).is_file():
+        file = split_topic(self.address)[0]
+        if not (file.is_file() or is_bag(file)):
             raise CaptureError(
-                f"camera '{self.name}': {shown(self.address)} is no video file, no number of a "
-                f"camera and no address ({', '.join(f'{one}://' for one in _SCHEMES)})"
+                f"camera '{self.name}': {shown(self.address)} is no video file or bag, no number "
+                f"of a camera and no address ({', '.join(f'{one}://' for one in _SCHEMES)})"
             )
         return FileSource(self.address)
 

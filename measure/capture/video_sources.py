@@ -73,7 +73,7 @@ class AvSource(Source):
 
 
 class FileSource(Source):
-    """A video file at its own pace: all of a rig's files begin at one moment."""
+    """A video file, or a topic of a bag, at its own pace; all of a rig's begin at one moment."""
 
     lasting = settles = False
     keeps_time = True
@@ -91,7 +91,7 @@ class FileSource(Source):
         except SessionError as problem:
             raise CaptureError(str(problem).removeprefix("camera '': ")) from None
         with closing(stream):
-            for index, time_s in enumerate(stream.times_s):
+            for index, time_s in enumerate(stream.times_s - stream.begins_s):
                 due = begun + float(time_s)
                 time.sleep(max(due - time.monotonic(), 0.0))
                 image = stream.read(index)

@@ -11,10 +11,12 @@ from typing import cast
 
 import numpy as np
 
+from measure.bags import is_bag, split_topic
 from measure.errors import CalibrationError
 from measure.model import Intrinsics
 from measure.reading import parse_toml, read_text
 from measure.session import calibration_file
+from measure.session.bag_lenses import read_camera_infos
 from measure.session.files import check_name
 from measure.session.formats import able, format_for, formats
 from measure.session.stated_rig import Sizes, StatedRig, Unit
@@ -46,8 +48,7 @@ def read_calibration(
     translations cannot be in the unit taken.
     """
     path = Path(path)
-    text = read_text(path, CalibrationError)
-    stated = _foreign(path, text)
+    stated = _foreign(path)
     if stated is None:
         calibration = calibration_file.read_own_calibration(path)
     else:
@@ -59,14 +60,17 @@ def read_calibration(
 def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
     """The lenses alone, by camera name, poses or not; CalibrationError if there are none."""
     path = Path(path)
-    stated = _foreign(path, read_text(path, CalibrationError))
+    stated = _foreign(path)
     if stated is not None:
         return stated.lenses(path)
     return {camera.name: camera.intrinsics for camera in read_calibration(path).cameras}
 
 
-def _foreign(path: Path, text: str) -> StatedRig | None:
+def _foreign(path: Path) -> StatedRig | None:
     """The rig in a file of another program; None if it is ours."""
+    if is_bag(split_topic(path)[0]):
+        return read_camera_infos(path)
+    text = read_text(path, CalibrationError)
     toml = path.suffix.lower() == ".toml"
     with suppress(tomllib.TOMLDecodeError):
         if isinstance(parse_toml(text).get("cameras"), list):

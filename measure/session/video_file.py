@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Bytes, Floats
+from measure.bags import is_bag, split_topic
 from measure.errors import SessionError
 from measure.model import Image
 from measure.reading import check_ordinary
+from measure.session.bag_pictures import BagStream, open_bag_stream
 from measure.session.damage import refuse_truncated
 from measure.session.pictures import decode_picture, most_pixels, refuse_huge
 from measure.session.streams import Stream, turned_notes
@@ -106,7 +108,7 @@ class VideoReader:
         frame = self._advance(position, where, packets=False)
         # The default conversion repeats each chroma sample over two columns, which moves a coloured
         # edge by up to half a pixel depending on where it falls; this interpolates.
-        return np.asarray(frame.to_ndarray(format="bgr24", interpolation=_interpolation()))
+        return np.asarray(frame.to_ndarray(format="bgr24", interpolation=interpolation()))
 
     def jpeg(self, position: int, where: str) -> bytes:
         """The JPEG at `position` of a motion-JPEG video, as it was recorded."""
@@ -188,7 +190,8 @@ class VideoReader:
                 yield frame.pts, frame
 
 
-def _interpolation() -> int:
+def interpolation() -> int:
+    """How colour is found between its samples, which are fewer than those of light."""
     from av.video.reformatter import Interpolation
 
     return int(Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND)
@@ -242,13 +245,18 @@ def _packets(
 
 
 class VideoStream(Stream):
-    """A video: its own presentation times, or stamps from a file beside it."""
+    """A video: its own presentation times, or stamps from a file beside it.
+
+    Attributes:
+        begins_s: the time at which it begins, where its container counts from 1970; else 0.
+    """
 
     def __init__(
         self, name: str, path: Path, index: VideoIndex, stamps: Stamps, offset_s: float
     ) -> None:
         times_s, notes = stamps.times_s + offset_s, turned_notes(name, index.turned)
         super().__init__(name, str(path), index.size_wh, stamps.frames, times_s, [path], notes)
+        self.begins_s = float(times_s[0]) if times_s[0] > _TIME_OF_DAY_S else 0.0
         self._reader = VideoReader(path, index)
         self._motion_jpeg = index.motion_jpeg
 
@@ -276,12 +284,15 @@ def open_video_stream(
     stamps: Stamps | None = None,
     stamps_path: Path | None = None,
     offset_s: float = 0.0,
-) -> VideoStream:
-    """Open a video (mp4, mkv, avi, ...; H.264, motion JPEG, ...).
+) -> VideoStream | BagStream:
+    """Open a video (mp4, mkv, avi, ...; H.264, motion JPEG, ...), or a topic in a bag of ROS.
 
     Without `stamps`, from the file `stamps_path`, times are the container's own after the first
-    frame. SessionError: missing, empty, truncated or damaged, or `stamps` has not one row a frame.
+    frame, or those of the topic's headers. SessionError: missing, empty, truncated or damaged, or
+    `stamps` has not one row a frame.
     """
+    if is_bag(split_topic(path)[0]):
+        return open_bag_stream(name, path, stamps, stamps_path, offset_s)
     index = index_video(path, f"camera '{name}': ")
     count = len(index.stamps)
     if stamps is None:

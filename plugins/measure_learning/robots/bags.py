@@ -7,7 +7,8 @@ tip is a `PoseStamped` or `TransformStamped` topic, comes from /tf, or is comput
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+import logging
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,14 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Floats
+from measure.bags import described, open_bag, stamp_ns
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.processes import needed
-from measure.reading import check_ordinary
 from measure.robots.schema import FeatureColumns, StateSchema, find_columns
 from measure_learning.robots.raven import FIELDS, raven_schema
 from measure_learning.robots.tables import PIECE_ROWS
+
+_log = logging.getLogger(__name__)
 
 _JOINTS = "sensor_msgs/msg/JointState"
 _POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
@@ -46,12 +48,6 @@ class _Joints:
         if isinstance(found, list) and set(found) <= tip:
             return find_columns(schema, (*self.columns, *tip))
         return found
-
-
-def described(connections: Sequence[Any]) -> str:
-    """A bag's topics and their types."""
-    kinds = {c.topic: c.msgtype.replace("/msg/", "/") for c in connections}
-    return ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items())) or "no topic"
 
 
 def joint_rows(
@@ -131,8 +127,7 @@ def _messages(reader: Any, connections: list[Any]) -> Iterator[tuple[float, dict
 
 def _stamp_s(header: Any, received_ns: int) -> float:
     """When a message was made; when it was recorded, if it does not say."""
-    made = header.stamp.sec + 1e-9 * header.stamp.nanosec
-    return float(made or 1e-9 * received_ns)
+    return 1e-9 * stamp_ns(header, received_ns)
 
 
 def _cells(topic: str, message: Any) -> dict[str, float]:
@@ -232,17 +227,14 @@ MESSAGE = "raven_2/msg/raven_state"
 DEFINITION = Path(__file__).with_name("builtin").joinpath("raven_state.msg").read_text("utf-8")
 
 
-def _rosbags(part: str) -> Any:
-    return needed(f"rosbags.{part}", "ros", "reading bags", EstimatorError)
+def _register_raven(store: Any, typesys: Any) -> None:
+    store.register(typesys.get_types_from_msg(DEFINITION, MESSAGE))
 
 
 def bag_pieces(
     path: Path, schema: StateSchema, topic: str | None = None
 ) -> Iterator[tuple[Floats, Floats]]:
     """Stamps (n,) in s and states (n, features) of one arm from a bag, piece by piece."""
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-        if not file.is_dir():  # A pipe in the bag's folder would be waited for
-            check_ordinary(file, EstimatorError)
     states = _bag_states(path, schema, topic)
     while some := list(itertools.islice(states, PIECE_ROWS)):
         times, rows = zip(*some, strict=True)
@@ -254,24 +246,16 @@ def _bag_states(
 ) -> Iterator[tuple[float, Floats]]:
     arm = {raven_schema("left").robot: 0, raven_schema("right").robot: 1}.get(schema.robot)
     count = 0
-    try:
-        # Types of ROS 2; bags of ROS 1 bring their own
-        typesys = _rosbags("typesys")
-        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        store.register(typesys.get_types_from_msg(DEFINITION, MESSAGE))
-        with _rosbags("highlevel").AnyReader([path], default_typestore=store) as reader:
-            if arm is None:
-                rows = joint_rows(path, reader, schema, topic)
-            else:
-                rows = _raven_rows(path, reader, arm, topic)
-            for row in rows:
-                yield row
-                count += 1
-    except EstimatorError:
-        raise
-    except Exception as error:  # rosbags raises many kinds; all mean the file
-        hint = ": give the bag's folder" if path.suffix == ".db3" else ""
-        raise EstimatorError(f"{path}: cannot be read as a bag: {error}{hint}") from None
+    with open_bag(path, EstimatorError, register=_register_raven) as bag:
+        if arm is None:
+            rows = joint_rows(path, bag, schema, topic)
+        else:
+            rows = _raven_rows(path, bag, arm, topic)
+        for row in rows:
+            yield row
+            count += 1
+        if bag.cut_off:
+            _log.warning("%s", bag.cut_off)
     if not count:
         raise EstimatorError(f"{path}: holds no message of the robot's topic")
 
