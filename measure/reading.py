@@ -226,7 +226,7 @@ _WHOSE = (
     "robot|controller|header"
 )
 _HEADING = re.compile(
-    rf"((?:{_WHOSE})[ _.]?)*(?:time[ _]?stamps?|times?|stamps?|ts?)"
+    rf"_*((?:{_WHOSE})[ _.]?)*(?:time[ _]?stamps?|times?|stamps?|ts?)"
     rf"(?:[ _]*[(\[]?(?P<unit>{'|'.join(_UNITS)})[)\]]?)?"
 )
 

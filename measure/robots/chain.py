@@ -249,11 +249,10 @@ def _pooled(squares: Floats, variances: Floats) -> Floats:
     """Standard deviations (links,): one of all lengths, one of all angles.
 
     Of squared errors and of their variances, which are those of the prior where nothing shows an
-    error. What is shown counts as if only the four classical ones of each six (a, alpha, d, theta)
-    were off; what is not shown leaves the deviation as it is.
+    error: what is not shown leaves the deviation as it is.
     """
     turns = np.resize(TURNS, squares.shape)
-    out, second = np.empty_like(squares), 1.5 * squares + np.maximum(variances, 0.0)
+    out, second = np.empty_like(squares), squares + np.maximum(variances, 0.0)
     for which, usual, most in zip((~turns, turns), _USUAL_SD, _LARGEST_SD, strict=True):
         if which.any():
             out[which] = np.clip(np.sqrt(second[which].mean()), usual, most)

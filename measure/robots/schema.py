@@ -14,6 +14,7 @@ from measure.arrays import Bools, Floats, Ints, floats
 from measure.errors import EstimatorError
 from measure.reading import TIME, candidates, stated_unit_s, time_columns
 from measure.robots.chain import Joint, SerialChain
+from measure.robots.headings import affixes, by_place
 
 
 @dataclass(frozen=True)
@@ -227,6 +228,7 @@ def reported_mm(schema: StateSchema, states: Floats, complete: Bools) -> Floats:
 
 
 _LARGEST_TURNS = 4.0  # No joint turns farther; degrees read as radians seem to
+_LARGEST_SLIDE_MM = 2e4  # No axis is longer; mm read as metres seem to be
 _SLOWEST_S, _FASTEST_S = 1.0, 1e-4  # Steps of robot logs
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _EPOCH_S = (1e9, 1e10)  # Seconds since 1970 of the years 2001 to 2286
@@ -278,6 +280,9 @@ def find_columns(schema: StateSchema, there: Sequence[str]) -> FeatureColumns | 
         elif held.issuperset(other.columns) and not found.keys() >= set(other.features):
             named = zip(other.features, other.columns, strict=True)
             found |= {feature: (column, other.scale) for feature, column in named}
+    joints = _joint_features(schema)
+    if joints and not found.keys() >= set(joints) and len(affixed := _affixed(schema, there)) == 1:
+        found |= affixed[0]
     missing = [name for name in schema.names if name not in found]
     if missing and set(missing) != set(_computable(schema)):
         return missing
@@ -288,6 +293,46 @@ def find_columns(schema: StateSchema, there: Sequence[str]) -> FeatureColumns | 
         tuple(schema.index(list(found))),
         bool(missing),
     )
+
+
+def _joint_features(schema: StateSchema) -> list[str]:
+    return list(dict.fromkeys(name for reading in schema.joints for name, _ in reading.terms))
+
+
+def _affixed(schema: StateSchema, there: Sequence[str]) -> list[dict[str, tuple[str, float]]]:
+    """Every way in which headings hold the joints' names with the same before and behind each."""
+    joints = _joint_features(schema)
+    named = [OtherNames(tuple(joints), tuple(joints))]
+    named += [other for other in schema.log.names if set(other.features) >= set(joints)]
+    out = list[dict[str, tuple[str, float]]]()
+    for other in named:
+        for before, behind in affixes(other.columns, there):
+            columns = [f"{before}{column}{behind}" for column in other.columns]
+            pairs = zip(other.features, columns, strict=True)
+            out.append({feature: (column, other.scale) for feature, column in pairs})
+    return out
+
+
+def heading_hint(schema: StateSchema, there: Sequence[str]) -> str:
+    """What to do about headings from which the joints cannot be told; empty if nothing is known."""
+    several = [[column for column, _ in found.values()] for found in _affixed(schema, there)]
+    joints = _joint_features(schema)
+    if len(several) > 1:
+        held = " and as ".join(f"{columns[0]} ..." for columns in several)
+        names = ", ".join(f'"{column}"' for column in several[0])
+        return (
+            f"; the joints are there as {held}: name those of this robot in a robot.toml: like = "
+            f'"{schema.robot}", [log] joints = [{{names = [{names}]}}]'
+        )
+    numbered = by_place(there)
+    if joints and len(numbered) >= len(joints):
+        return (
+            f"; {numbered[0]} ... {numbered[-1]} are positions by place, and a message's order need "
+            "not be the robot's (many drivers sort by name): name them in the order of its joints "
+            f'in a robot.toml: like = "{schema.robot}", [log] joints = [{{names = ["{numbered[0]}", '
+            "...]}]"
+        )
+    return ""
 
 
 def _computable(schema: StateSchema) -> list[str]:
@@ -310,12 +355,20 @@ def lacking(where: str, missing: Sequence[str], count: int, there: Sequence[str]
 def _check_turns(where: str, schema: StateSchema, joints: Floats) -> None:
     assert schema.chain is not None
     for index, joint in enumerate(schema.chain.joints):
-        turns = np.abs(joints[:, index]) / (2 * np.pi)
-        if not joint.prismatic and (turns > _LARGEST_TURNS).any():
-            name = schema.joints[index].terms[0][0]
+        name, values = schema.joints[index].terms[0][0], np.abs(joints[:, index])
+        if not joint.prismatic and (values > _LARGEST_TURNS * 2 * np.pi).any():
             raise EstimatorError(
-                f"{where}: joint '{name}' seems to turn {np.nanmax(turns):.0f} times round: is "
-                "its column in degrees? Give its unit in a robot.toml"
+                f"{where}: joint '{name}' seems to turn {np.nanmax(values) / (2 * np.pi):.0f} times "
+                "round: is its column in degrees? Give its unit in a robot.toml"
+            )
+        if joint.prismatic and (values > _LARGEST_SLIDE_MM).any():
+            units = (
+                f'{{name = "{n}", unit = "{"mm" if n == name else f.unit}"}}'
+                for n, f in ((f.name, f) for f in schema.features)
+            )
+            raise EstimatorError(
+                f"{where}: joint '{name}' seems to slide {np.nanmax(values) / 1e3:.0f} m: is its "
+                f"column in mm? Give the units in a robot.toml: features = [{', '.join(units)}]"
             )
 
 

@@ -19,7 +19,7 @@ from measure.arrays import Floats
 from measure.bags import described, open_bag, stamp_ns
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.robots.schema import FeatureColumns, StateSchema, find_columns
+from measure.robots.schema import FeatureColumns, StateSchema, find_columns, heading_hint
 from measure_learning.robots.raven import FIELDS, raven_schema
 from measure_learning.robots.tables import PIECE_ROWS
 
@@ -64,24 +64,58 @@ def joint_rows(
     place = schema.index([reading.terms[0][0] for reading in schema.position])
     scales = np.array([reading.terms[0][1] for reading in schema.position])
     needed_columns = [column for column in found.columns if column in joints.columns]
-    parts, is_whole = dict[tuple[str, ...], None](), False
-    for stamp_s, cells in _messages(reader, joints.connections):
-        held = tuple(column for column in needed_columns if column in cells)
-        if not held:
-            continue  # another part of the robot's, such as a gripper
-        is_whole = is_whole or len(held) == len(needed_columns)
-        parts[held] = None
+    for stamp_s, cells in _whole(path, reader, joints, needed_columns):
         values = np.array([[cells.get(column, np.nan) for column in found.columns]])
         state = found.states(f"{path}: {joints.topic}", values)[0]
         if poses is not None:
             state[place] = _interpolate(*poses, stamp_s) / scales
         yield stamp_s, state
-    if parts and not is_whole:
-        split = " and ".join(", ".join(part) for part in itertools.islice(parts, 4))
+
+
+def _whole(
+    path: Path, reader: Any, joints: _Joints, columns: list[str]
+) -> Iterator[tuple[float, dict[str, float]]]:
+    """Stamps and cells of the messages that hold all columns; else joined from those of parts."""
+    messages = (
+        (stamp_s, cells)
+        for stamp_s, cells in _messages(reader, joints.connections)
+        if any(column in cells for column in columns)  # not of a gripper
+    )
+    first = list(itertools.islice(messages, _LOOKED_AT))
+    if any(all(column in cells for column in columns) for _, cells in first):
+        yield from itertools.chain(first, messages)
+    else:
+        yield from _joined(path, joints.topic, itertools.chain(first, messages), columns)
+
+
+def _joined(
+    path: Path, topic: str, messages: Iterator[tuple[float, dict[str, float]]], columns: list[str]
+) -> Iterator[tuple[float, dict[str, float]]]:
+    """Parts of several publishers, interpolated at the stamps of the one that is the slowest."""
+    series: dict[str, tuple[list[float], list[float]]] = {c: ([], []) for c in columns}
+    for stamp_s, cells in messages:
+        for column in columns:
+            if column in cells:
+                series[column][0].append(stamp_s)
+                series[column][1].append(cells[column])
+    times, order = {}, {}
+    for column, (stamps, _) in series.items():
+        times[column], order[column] = np.unique(np.array(stamps), return_index=True)
+    slowest = min(times.values(), key=len)
+    if len(slowest) < 2:
         raise EstimatorError(
-            f"{path}: {joints.topic}: no message holds all joints of {schema.robot}: {split} come "
-            "in messages of their own, as of several publishers: record a topic that holds all"
+            f"{path}: {topic}: its messages hold parts of the robot's joints (it has several "
+            f"publishers), and {len(slowest)} of one part: record a topic that holds all"
         )
+    values = []
+    for column, (_, held) in series.items():
+        own, at = times[column], np.array(held)[order[column]]
+        right = np.clip(np.searchsorted(own, slowest), 1, len(own) - 1)
+        near = np.minimum(np.abs(slowest - own[right - 1]), np.abs(own[right] - slowest))
+        line = np.interp(slowest, own, at)
+        values.append(np.where(near <= _LONGEST_GAP_S, line, np.nan))
+    for row, stamp_s in enumerate(slowest.tolist()):
+        yield stamp_s, {c: float(v[row]) for c, v in zip(columns, values, strict=True)}
 
 
 def _choose(path: Path, reader: Any, schema: StateSchema, topic: str | None) -> _Joints:
@@ -106,6 +140,7 @@ def _choose(path: Path, reader: Any, schema: StateSchema, topic: str | None) -> 
     if fitting:
         names = ", ".join(one.topic for one in fitting)
         raise EstimatorError(f"{path}: the joints may be those of {names}: say which with --topic")
+    hint = "".join(heading_hint(schema, one.columns) for one in topics)
     wanted = [name for reading in schema.joints for name, _ in reading.terms] or schema.names
     held = "; ".join(
         f"{one.topic} has {', '.join(c for c in one.columns if '.' not in c and '[' not in c)}"
@@ -115,7 +150,7 @@ def _choose(path: Path, reader: Any, schema: StateSchema, topic: str | None) -> 
         f"{path}: no topic{f' {topic}' if topic else ''} of JointState messages has the joints of "
         f"{schema.robot} ({', '.join(wanted)}); "
         + (held or f"the bag has {described(reader.connections)}")
-        + ": name the topic with --topic, or the robot with --robot"
+        + (hint or ": name the topic with --topic, or the robot with --robot")
     )
 
 

@@ -11,12 +11,14 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
 from measure.reading import TIME
+from measure.robots.headings import by_place
 from measure.robots.schema import (
     Clock,
     FeatureColumns,
     RobotLog,
     StateSchema,
     find_columns,
+    heading_hint,
     lacking,
     reported_mm,
 )
@@ -38,6 +40,10 @@ def find_schema(name: str) -> StateSchema:
         return raven_schema("left" if name == "raven" else "right")
     if name in robot_names():
         return read_schema(BUILTIN / f"{name}.toml")
+    if name.endswith(".xacro"):
+        raise EstimatorError(
+            f"{name}: xacro must be expanded first: `xacro {name} > {name.removesuffix('.xacro')}`"
+        )
     if name.endswith((".toml", ".urdf")):
         return read_schema(Path(name))
     raise EstimatorError(
@@ -49,13 +55,16 @@ def find_schema(name: str) -> StateSchema:
 def misfit(where: str, schema: StateSchema, missing: Sequence[str], there: Sequence[str]) -> str:
     """Which features a log lacks, and which known robots its columns fit instead."""
     text = str(lacking(where, missing, len(schema.names), there))
+    hint = heading_hint(schema, there)
+    numbered = set(by_place(there))
+    sure = [name for name in there if name not in numbered]  # by place any robot would fit
     fitting = [
         name
         for name in robot_names()
         if (other := find_schema(name)).robot != schema.robot
-        and not isinstance(find_columns(other, there), list)
+        and not isinstance(find_columns(other, sure), list)
     ]
-    return text + (f"; its columns fit --robot {' or '.join(fitting)}" if fitting else "")
+    return text + hint + (f"; its columns fit --robot {' or '.join(fitting)}" if fitting else "")
 
 
 _SAME_MM = 1e-9  # A controller's own position differs by more, if only by its last digit
