@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Bools, Bytes, Floats
-from measure.compiling import compiled
+from measure.arrays import Bytes, Floats
 from measure.model import BallColor
-from measure_plugins._acquisition.circles import circles_of_each, distinct
+from measure_plugins._acquisition.circles import circles_of, distinct
 from measure_plugins._acquisition.color_table import (
     MAX_COLORS,
     brighter_than_the_rest,
@@ -65,8 +63,7 @@ def find_circles(pixels: Bytes, colors: Sequence[BallColor]) -> FoundCircles:
     # As those of the cache are: else the loops would be compiled once more.
     table.setflags(write=False)
     with_dark.setflags(write=False)
-    bits, shaded = _bits_of(pixels, table, with_dark, step, count)
-    dark = np.nonzero(shaded)[0].tolist()
+    bits, dark = _bits_of(pixels, table, with_dark, step, count)
     found = _circles(bits, range(count + len(again)), step, pixels.shape[0])
     owners = [*range(count), *(i for i, _ in again)]
     more = list(zip(owners[count:], found[count:], strict=True))
@@ -83,17 +80,14 @@ def find_circles(pixels: Bytes, colors: Sequence[BallColor]) -> FoundCircles:
     return FoundCircles(found[:count], with_dark)
 
 
-@compiled
 def _bits_of(
     pixels: Bytes, table: Bytes, with_dark: Bytes, step: int, count: int
-) -> tuple[Bytes, Bools]:
+) -> tuple[Bytes, list[int]]:
     """Colour bits of the reduced picture, see `classify`, and which colours are in shade too."""
     every, some = classify(pixels, table, with_dark, step)
     bits, dark = majority(every), majority(some)
-    lit, shaded = bits[::2, ::2].copy(), np.zeros(count, np.bool_)
-    for i in range(count):
-        shaded[i] = much_in_shade(lit, dark, 1 << i)
-    return bits, shaded
+    lit = bits[::2, ::2]
+    return bits, [i for i in range(count) if much_in_shade(lit, dark, 1 << i)]
 
 
 @lru_cache(maxsize=16)
@@ -114,13 +108,10 @@ def warm_up() -> None:
 def _circles(bits: Bytes, of: Sequence[int], step: int, height: int) -> list[Floats]:
     """Circles (k, 6) of some colours, best first, see `FoundCircles`."""
     radii = (max(MIN_RADIUS_PX / step, _MIN_RADIUS), _MAX_RADIUS_SHARE * height / step)
-    circles, ends = circles_of_each(
-        bits, np.array(of, np.int64), radii, _MIN_SEEN, _MIN_FILLED, _MAX_CANDIDATES
-    )
-    circles[:, :3] *= step
-    circles[:, :2] += (step - 1) / 2
-    spans = pairwise([0, *ends.tolist()])
-    return [
-        np.column_stack([circles[start:end], np.full(end - start, bit)])
-        for bit, (start, end) in zip(of, spans, strict=True)
-    ]
+    out = []
+    for bit in of:
+        circles = circles_of(bits, 1 << bit, radii, _MIN_SEEN, _MIN_FILLED, _MAX_CANDIDATES)
+        circles[:, :3] *= step
+        circles[:, :2] += (step - 1) / 2
+        out.append(np.column_stack([circles, np.full(len(circles), bit)]))
+    return out

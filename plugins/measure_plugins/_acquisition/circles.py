@@ -27,26 +27,6 @@ _COMPLETE_SHARE = 0.8
 _CONTAINS_ABOVE = 0.6  # Visible share above which other circles inside one are parts of it
 
 
-@compiled
-def circles_of_each(
-    bits: Bytes,
-    colors: Ints,
-    radii: tuple[float, float],
-    least_seen: float,
-    least_filled: float,
-    most: int,
-) -> tuple[Floats, Ints]:
-    """`circles_of` some colours, by their bits (n,): (k, 5); (n,) the row after each one's last."""
-    out, ends = np.empty((most * len(colors), 5)), np.empty(len(colors), np.int64)
-    count = 0
-    for i in range(len(colors)):
-        found = circles_of(bits, 1 << colors[i], radii, least_seen, least_filled, most)
-        out[count : count + len(found)] = found
-        ends[i] = count = count + len(found)
-    return out[:count], ends
-
-
-@compiled
 def circles_of(
     bits: Bytes,
     bit: int,
@@ -66,14 +46,10 @@ def circles_of(
     Returns:
         (k, 5) centre x, y, radius, share of the circle seen, share of its inside filled.
     """
-    mask = framed(bits, bit)
-    pixels, ends = borders(mask, _MIN_BORDER)
-    best = np.zeros((most, 5))
-    start = 0
-    for end in ends:
-        _along(pixels[start:end], mask, radii, least_seen, best)
-        start = end
-    return distinct(_finished(mask, best, radii, least_filled))
+    mask, best = framed(bits, bit), np.zeros((most, 5))
+    for border in borders(mask, _MIN_BORDER):
+        _along(border, mask, radii, least_seen, best)
+    return np.asarray(distinct(_finished(mask, best, radii, least_filled)))
 
 
 @compiled

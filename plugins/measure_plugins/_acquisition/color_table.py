@@ -173,18 +173,14 @@ def more_vivid_than_the_rest(
     return out
 
 
-@compiled
 def _chroma_histograms(pixels: Bytes, table: Bytes, stride: int, count: int) -> Ints:
     """How many of some pixels have each colour (count, 64) with each chroma, in levels."""
-    out, one = np.zeros((count, _LEVELS), np.int64), np.uint8(1)
-    for i in range(stride // 2, pixels.shape[0], stride):
-        for j in range(stride // 2, pixels.shape[1], stride):
-            b, g, r = pixels[i, j, 0] >> 2, pixels[i, j, 1] >> 2, pixels[i, j, 2] >> 2
-            bits = table[b, g, r]
-            for k in range(count):
-                if bits >> np.uint8(k) & one:
-                    out[k, max(b, g, r) - min(b, g, r)] += 1
-    return out
+    some = pixels[stride // 2 :: stride, stride // 2 :: stride].reshape(-1, 3) >> (8 - _BITS)
+    blue, green, red = some.T
+    bits, chroma = table[blue, green, red], np.ptp(some, axis=1)
+    has = (bits >> np.uint8(i) & np.uint8(1) > 0 for i in range(count))
+    out = [np.bincount(chroma[one], minlength=_LEVELS) for one in has]
+    return np.array(out, np.int64).reshape(count, _LEVELS)
 
 
 def _split(histogram: Floats) -> int | None:
@@ -219,19 +215,10 @@ def with_shade(colors: tuple[BallColor, ...]) -> Bytes:
     return color_table(tuple(map(_reaching, colors)))
 
 
-@compiled
 def much_in_shade(lit: Bytes, shaded: Bytes, bit: int) -> bool:
     """Whether so much of a colour, by lit and shaded pixels (h, w), is in shade as to cut balls."""
-    return _count(shaded, bit) > (1 + _MUCH_SHADE) * _count(lit, bit)
-
-
-@compiled
-def _count(bits: Bytes, bit: int) -> int:
-    one, count = np.uint8(bit), 0
-    for row in bits:
-        for value in row:
-            count += int(np.uint8(value & one) == one)
-    return count
+    dark, light = (np.count_nonzero(bits & np.uint8(bit)) for bits in (shaded, lit))
+    return dark > (1 + _MUCH_SHADE) * light
 
 
 def _reaching(color: BallColor) -> BallColor:

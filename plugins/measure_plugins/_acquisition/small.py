@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
-from measure_plugins._acquisition.circles import circles_of_each
+from measure_plugins._acquisition.circles import circles_of
 from measure_plugins._acquisition.color_table import classify
 from measure_plugins._acquisition.patches import borders, framed, majority
 
@@ -92,9 +92,10 @@ def _small_patches(grid: Bytes, bit: int, largest_px: int) -> _Patches:
     if len(used) == 0:
         return _Patches(none, none, none[:, 0])
     first = int(used[0])
-    at, ends = borders(framed(grid[first : used[-1] + 1], 1 << bit), _MIN_PIXELS)
-    if len(ends) == 0:
+    outer = borders(framed(grid[first : used[-1] + 1], 1 << bit), _MIN_PIXELS)
+    if not outer:
         return _Patches(none, none, none[:, 0])
+    at, ends = np.concatenate(outer), np.cumsum([len(one) for one in outer])
     starts = np.concatenate([[0], ends[:-1]])
     low, high = np.minimum.reduceat(at, starts), np.maximum.reduceat(at, starts)
     (width, height), area = (high - low + 1).T, _areas(at, starts, ends)
@@ -141,9 +142,7 @@ def _circles_in(seen: Bytes, bit: int, patches: _Patches, columns: int, most: in
     if len(seen) == 0:
         return np.empty((0, 6))
     radii = (MIN_RADIUS_PX / _STEP, float(_PATCH))
-    circles, _ = circles_of_each(
-        seen, np.array([bit], np.int64), radii, _MIN_SEEN, _MIN_FILLED, most
-    )
+    circles = circles_of(seen, 1 << bit, radii, _MIN_SEEN, _MIN_FILLED, most)
     cell = _SIDE_PX // _STEP
     column, row = np.maximum(circles[:, :2] // cell, 0).astype(np.int64).T
     number = np.minimum(row * columns + np.minimum(column, columns - 1), len(patches.low) - 1)

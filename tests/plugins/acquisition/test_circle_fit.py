@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure_plugins._acquisition.circles import circles_of, circles_of_each, refined
+from measure_plugins._acquisition.circles import refined
 from measure_plugins._acquisition.patches import framed
-
-SEARCH = ((3.0, 40.0), 0.16, 0.3, 5)
-"""Radii, least shares seen and filled, most circles."""
 
 
 def disc(x, y, radius, shape=(90, 160)):
@@ -38,12 +35,3 @@ def test_where_no_edge_is_near_the_circle_stays_what_it_was():
     mask = framed(disc(60.0, 40.0, 30.0), 1)
     circle = np.array([60.0, 40.0, 15.0, 0.3])
     assert np.array_equal(refined(mask, circle), circle)
-
-
-def test_colours_searched_together_are_what_each_is_alone():
-    one, other = disc(40, 40, 20), disc(110, 50, 15)
-    bits = one | (other << 3)
-    circles, ends = circles_of_each(bits, np.array([3, 1, 0]), *SEARCH)
-    assert ends.tolist() == [1, 1, 2]
-    for found, bit in zip(np.split(circles, ends)[:-1], (8, 2, 1), strict=True):
-        assert np.array_equal(found, circles_of(bits, bit, *SEARCH))

@@ -201,7 +201,7 @@ def test_small_pictures_are_warmed_up_with_a_smaller_disc(size_wh):
 
 def test_warm_up_compiles_every_hot_loop(camera):
     """For the very types that measuring uses: else the first picture would compile them again."""
-    from measure_plugins._acquisition import candidates, circles
+    from measure_plugins._acquisition import circles, color_table
     from measure_plugins._outline.fitting import batch as balls
     from measure_plugins._outline.fitting import scan
 
@@ -211,9 +211,8 @@ def test_warm_up_compiles_every_hot_loop(camera):
         scan.scan_with_model,
         balls.cones_of,
         balls.measure_circles,
-        candidates._bits_of,
-        circles.circles_of_each,
         circles.distinct,
+        color_table.classify,
     )
     with nothing_compiles(*loops):
         center = at_angle(3.0, 200.0)
