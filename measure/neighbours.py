@@ -87,9 +87,19 @@ def load_command(name: str) -> Any:
 
 
 def offers(group: str) -> Iterator[tuple[str, Any]]:
-    """Name and object of each entry point of a group, imported now."""
+    """Name and object of each entry point of a group, imported now.
+
+    One whose package was taken out of the environment is passed over. PluginError: another cannot
+    be imported.
+    """
     for point in sorted(_points(group), key=lambda one: one.name):
-        yield point.name, point.load()
+        if util.find_spec(point.value.partition(":")[0].partition(".")[0]) is None:
+            continue
+        try:
+            yield point.name, point.load()
+        except Exception as problem:
+            reason = " ".join(f"{type(problem).__name__}: {problem}".split())
+            raise PluginError(f"'{point.name}' of {_owner(point)} is broken: {reason}") from problem
 
 
 def offer(group: str, name: str, what: str, package: str) -> Any:
@@ -106,6 +116,10 @@ def lacking(what: str, package: str) -> ConfigError:
         f"{what} comes with the package {package}, which is not installed here: "
         "pip install --force-reinstall triball"
     )
+
+
+def _owner(point: metadata.EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}" if point.dist is not None else point.value
 
 
 def _points(group: str) -> metadata.EntryPoints:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from measure.errors import ConfigError, MeasureError
-from measure.neighbours import FORMATS, offers
+from measure.neighbours import FORMATS, lacking, offers
 from measure.session.calibration_file import Calibration
 from measure.session.stated_rig import StatedRig
 from measure.session.tracked_body import TrackedBody
@@ -66,9 +66,11 @@ def able(action: str) -> dict[str, Any]:
 def format_for(action: str, name: str) -> Format:
     """The format of this name; ConfigError: none of those that can do this is called so."""
     known = able(action)
+    if not known:
+        raise lacking("files of other programs", "measure_formats")
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"there is {', '.join(known) or 'none'}"
+        hint = f"did you mean {near[0]}?" if near else f"there is {', '.join(known)}"
         what = "export format" if action == "write_run" else "format of calibrations"
         raise ConfigError(f"no {what} is called '{name}'; {hint}")
     return formats()[name]

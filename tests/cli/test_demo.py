@@ -15,7 +15,7 @@ from measure.session import open_session
 
 @pytest.mark.slow
 def test_demo_measures_what_it_rendered(tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(import_module("measure.api.demo"), "ROBOT_S", 30.0)
+    monkeypatch.setattr(import_module("measure_learning.demo"), "ROBOT_S", 30.0)
     out = tmp_path / "demo"
     assert main(["demo", "-o", str(out), "--frames", "4", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

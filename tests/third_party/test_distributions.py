@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,6 +158,44 @@ def test_a_format_is_read_and_written(environment: Environment, session, tmp_pat
     assert [set(json.loads(line)) for line in lines] == [
         {"body", "time_s", "x_mm", "y_mm", "z_mm"}
     ] * 2
+
+
+@pytest.fixture
+def without(environment: Environment) -> Iterator[Callable[[str], None]]:
+    """Takes a package out of the environment, until the test ends."""
+    code = "import measure; print(measure.__file__)"
+    place = Path(environment.run(environment.program("python"), "-c", code).stdout.strip())
+    site, taken = place.parents[1], []
+
+    def take(name: str) -> None:
+        (site / name).rename(environment.folder / name)
+        taken.append(name)
+
+    yield take
+    for name in taken:
+        (environment.folder / name).rename(site / name)
+
+
+def test_what_is_missing_is_named_and_the_rest_works(
+    environment: Environment, session, tmp_path, without, monkeypatch
+):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    names = ("lab", "learning", "studio", "formats", "sinks")
+    for name in names:
+        without(f"measure_{name}")
+    words = ("run", str(session), "-o", str(tmp_path / "run"), "--profile", "paper")
+    assert environment.measure(*words, "--no-recording", *WITHOUT_CLASH).returncode == 0
+    listed = environment.measure("--help").stdout
+    assert " run " in listed
+    assert " register " not in listed
+    for command, package in (("rests", "lab"), ("train", "learning"), ("studio", "studio")):
+        done = environment.measure(command, "x")
+        assert done.returncode == 2
+        assert f"`measure {command}` comes with the package measure_{package}" in done.stderr
+        assert done.stderr.count("\n") == 1
+    done = environment.measure("export", str(tmp_path / "run"), "--format", "csv")
+    assert done.returncode == 2
+    assert "no export format is called 'csv'" in done.stderr
 
 
 def test_an_estimator_learns_and_its_model_runs_without_it(environment: Environment, tmp_path):
