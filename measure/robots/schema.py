@@ -327,10 +327,10 @@ def heading_hint(schema: StateSchema, there: Sequence[str]) -> str:
     numbered = by_place(there)
     if joints and len(numbered) >= len(joints):
         return (
-            f"; {numbered[0]} ... {numbered[-1]} are positions by place, and a message's order need "
-            "not be the robot's (many drivers sort by name): name them in the order of its joints "
-            f'in a robot.toml: like = "{schema.robot}", [log] joints = [{{names = ["{numbered[0]}", '
-            "...]}]"
+            f"; {numbered[0]} ... {numbered[-1]} are positions by place, and a message's order "
+            "need not be the robot's (many drivers sort by name): name them in the order of its "
+            f'joints in a robot.toml: like = "{schema.robot}", [log] joints = [{{names = '
+            f'["{numbered[0]}", ...]}}]'
         )
     return ""
 
@@ -358,8 +358,8 @@ def _check_turns(where: str, schema: StateSchema, joints: Floats) -> None:
         name, values = schema.joints[index].terms[0][0], np.abs(joints[:, index])
         if not joint.prismatic and (values > _LARGEST_TURNS * 2 * np.pi).any():
             raise EstimatorError(
-                f"{where}: joint '{name}' seems to turn {np.nanmax(values) / (2 * np.pi):.0f} times "
-                "round: is its column in degrees? Give its unit in a robot.toml"
+                f"{where}: joint '{name}' seems to turn {np.nanmax(values) / (2 * np.pi):.0f} "
+                "times round: is its column in degrees? Give its unit in a robot.toml"
             )
         if joint.prismatic and (values > _LARGEST_SLIDE_MM).any():
             units = (

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from measure_learning.core import AssemblySettings, PoseTrack, TrajectoryFacts
     from measure_learning.core.frames import RobotFrame
     from measure_learning.core.registration import RegisterOptions
+    from measure_learning.robots import StateLog
 
 _log = logging.getLogger(__name__)
 
@@ -98,7 +99,7 @@ def _check_name(out: Path) -> None:
 
 
 def open_logs(
-    runs: Sequence[Path], logs: Sequence[Path], schema: StateSchema, topic: str | None
+    runs: Sequence[object], logs: Sequence[Path], schema: StateSchema, topic: str | None
 ) -> list[LogFile]:
     """A log for each run; EstimatorError unless there is one for all, or one each."""
     from measure_learning.robots import LogFile
@@ -250,15 +251,43 @@ def register(
         if runs or logs:
             raise ConfigError("--stops holds poses and joints: leave out runs and --robot-log")
         tables = [files.read_stops(path, schema) for path in stops]
-        if options.eye_in_hand:
-            tables = [(track.inverted(), states) for track, states in tables]
-        pairs = [pairs_in_table(track, states) for track, states in tables]
-        return register_stops(pairs, schema, options)
+        pairs = [
+            pairs_in_table(track.inverted() if options.eye_in_hand else track, states)
+            for track, states, _ in tables
+        ]
+        return register_stops(pairs, tables[0][2], options)
     if not (runs and logs):
         raise ConfigError("give runs of the moving robot, and its log with --robot-log; or --stops")
     tracks = [files.read_poses(run) for run in runs]
     if len({track.name for track in tracks}) < len(tracks):
         raise EstimatorError("two recordings have the same name: rename one")
     shared = [shared_errors(read_run(run)) if run.is_dir() else None for run in runs]
-    opened = open_logs(runs, logs, schema, topic)
+    opened = _logs_or_tool_poses(tracks, logs, schema, topic)
     return register(list(map(Recording, tracks, opened, shared)), options)
+
+
+def _logs_or_tool_poses(
+    tracks: Sequence[PoseTrack], logs: Sequence[Path], schema: StateSchema, topic: str | None
+) -> list[StateLog]:
+    """The robot's logs; those that hold the tool's pose and no joints become pairs of poses."""
+    from measure.robots.tool_poses import holds_tool_poses, read_tool_poses
+    from measure_learning.core.stops import is_sparse
+    from measure_learning.robots.logs import is_table, of_instants
+    from measure_learning.robots.tables import TableFile
+
+    if is_sparse(tracks[0]):
+        schema = of_instants(logs[0], schema, tracks[0].measured().times_s)
+    names = [path.name for path in logs]
+    if not all(is_table(path) for path in logs) or not all(
+        holds_tool_poses(TableFile.open(path, schema.log.delimiter).schema.names) for path in logs
+    ):
+        return list(open_logs([track.name for track in tracks], logs, schema, topic))
+    if schema.chain is not None:
+        try:
+            return list(open_logs([track.name for track in tracks], logs, schema, topic))
+        except EstimatorError as problem:
+            if "lacks" not in str(problem):
+                raise
+    _log.warning("%s: the tool's poses are taken: it holds no joints", " and ".join(names))
+    read: list[StateLog] = [read_tool_poses(path, schema) for path in logs]
+    return read * len(tracks) if len(read) == 1 else read

@@ -17,6 +17,7 @@ from measure.host import Dataset
 from measure.results import read_run
 from measure.results.tables import PLACE
 from measure.robots import StateSchema
+from measure.robots.tool_poses import holds_tool_poses, tool_pose_states
 from measure_learning.core.assemble import PoseTrack, TrajectoryFacts
 from measure_learning.core.scores import Score
 from measure_learning.robots import ROBOT_KEY, feature_columns
@@ -183,21 +184,28 @@ def read_poses(path: Path) -> PoseTrack:
     return _poses_in(path, Table.read(path), "time_s")
 
 
-def read_stops(path: Path, schema: StateSchema) -> tuple[PoseTrack, Floats]:
-    """Poses of a robot that stood still, and the states (n, features) beside them in their rows.
+def read_stops(path: Path, schema: StateSchema) -> tuple[PoseTrack, Floats, StateSchema]:
+    """Poses of a robot that stood still, the states (n, features) in their rows, and the schema.
 
-    Columns of poses as `read_poses` knows them, without a time; all others are the robot's.
+    That is another one where the table holds the tool's pose and no joints. Columns of poses are as
+    `read_poses` knows them, without a time; all others are the robot's.
     """
     if not path.exists():
         raise EstimatorError(f"{path}: no such table of stops")
     table = Table.read(path)
     there = [name for name in table.schema.names if name not in _OF_POSES]
-    found = feature_columns(path, schema, there)
-    states = found.states(str(path), table.numbers(*found.columns))
     track = _poses_in(path, table, None)
+    try:
+        found = feature_columns(path, schema, there)
+    except EstimatorError:
+        if not holds_tool_poses(there):
+            raise
+        states, schema = tool_pose_states(path, Table(path, table.content.select(there)), schema)
+    else:
+        states = found.states(str(path), table.numbers(*found.columns))
     if track.rotations is None:
         raise EstimatorError(f"{path}: lacks qw, qx, qy, qz beside x_mm, y_mm, z_mm")
-    return track, states
+    return track, states, schema
 
 
 def _poses_in(path: Path, table: Table, time: str | None) -> PoseTrack:

@@ -10,6 +10,7 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.robots.chain import link_names
+from measure.robots.tool_poses import ToolPoses
 from measure_learning.core.frame_fit import FRAMES, FrameFit, LinearModel, Sightings, fit_frames
 from measure_learning.core.next_pose import next_pose
 
@@ -21,6 +22,7 @@ _MOST_HELD_OUT, _LEAST_HELD_OUT_MM = 2.5, 1.0
 """Times what is expected, from which poses held out refuse a frame, and at least so many mm."""
 _MOST_HALF = 1000  # poses of a half: more tell no better
 _ROBOTS_OWN = 100.0  # variance of a mean of poses over what they state, from which robots make it
+_NO_HELP = 0.9  # ratio of SDs, from which one more pose does not help a recorded motion
 _PURE = 0.02  # share of a turn in a direction that is a shift (rad of 2, mm of 1000)
 
 
@@ -30,7 +32,9 @@ def judgement(fit: FrameFit, seen: Sightings, kinematics: bool) -> dict[str, Any
     seen = seen.take(fit.kept)
     ends = np.sqrt(np.trace(seen.poses.covariances[:, :3, :3], axis1=1, axis2=2))
     held_out, expected = _held_out(seen, kinematics)
-    helps = next_pose(fit, seen)
+    helps = None if isinstance(seen.chain, ToolPoses) else next_pose(fit, seen)
+    if helps and not seen.apart and min(helps["base_sd_ratio"], helps["tool_sd_ratio"]) > _NO_HELP:
+        helps = None
     if held_out > max(_MOST_HELD_OUT * expected, _LEAST_HELD_OUT_MM):
         raise EstimatorError(
             f"halves of the poses leave {held_out:.2f} mm of each other, where {expected:.2f} mm "
@@ -107,7 +111,7 @@ def _not_separable(fit: FrameFit, seen: Sightings, kinematics: bool) -> list[str
     said = [] if seen.chain is None else _open(fit, seen)
     if seen.chain is None:
         said.append("how the flange is turned: the robot's kinematics are not known")
-    elif still := _still_joints(seen):
+    elif not isinstance(seen.chain, ToolPoses) and (still := _still_joints(seen)):
         said.append(
             f"joints {', '.join(still)} stood still: errors of theirs and of the links between are "
             "counted as the base's or the tool's, which hold for this posture of them"
@@ -121,7 +125,7 @@ def _not_separable(fit: FrameFit, seen: Sightings, kinematics: bool) -> list[str
             continue
         known = f"{block} is known to {np.linalg.norm(place):.1f} mm and "
         known += f"{np.degrees(np.linalg.norm(turn)):.2f} deg (SD, 3-D)"
-        said.append(f"{known}: {_reason(fit, start)}")
+        said.append(f"{known}: {_reason(fit, start, isinstance(seen.chain, ToolPoses))}")
     if kinematics and seen.chain:
         kept = sd[-seen.links :] / fit.link_sd > _NOT_SHOWN
         names = np.array(link_names(seen.chain))[kept]
@@ -164,12 +168,14 @@ def _still_joints(seen: Sightings) -> list[str]:
     return [str(k + 1) for k in np.flatnonzero(ranges < limits)]
 
 
-def _reason(fit: FrameFit, start: int) -> str:
+def _reason(fit: FrameFit, start: int, is_tool: bool) -> str:
     """Why six parameters are uncertain: errors of joints, others of the robot, or little motion."""
     rows, what = slice(start, start + 6), "base" if start == 0 else "tool"
     scale = np.diag(fit.covariance)[rows]
     by_joint = (fit.frames_by_links[rows] ** 2 / scale[:, None]).reshape(6, -1, 6).sum(axis=(0, 2))
-    if by_joint.sum() >= 3.0:  # of six: at least half of the variance
+    if by_joint.sum() >= 3.0 and is_tool:
+        causes = "the robot's own errors (links, joints homed wrongly) move"
+    elif by_joint.sum() >= 3.0:  # of six: at least half of the variance
         first = np.argsort(-by_joint)[: max(1, int(np.sum(by_joint > by_joint.max() / 3)))]
         causes = f"constant errors of joints {', '.join(str(k + 1) for k in sorted(first))} move"
     elif fit.noise / fit.share > _ROBOTS_OWN:

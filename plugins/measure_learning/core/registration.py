@@ -13,6 +13,7 @@ from measure.errors import EstimatorError
 from measure.geometry import skew
 from measure.robots import SerialChain, StateSchema
 from measure.robots.chain import TURNS, link_names
+from measure.robots.tool_poses import ToolPoses
 from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, fit_frames
 from measure_learning.core.frames import RobotFrame
 from measure_learning.core.judged_frames import judgement
@@ -20,7 +21,7 @@ from measure_learning.core.labels import check_turns
 from measure_learning.core.sightings import Recording as Recording
 from measure_learning.core.sightings import clock_of, moving, own_delays_s, rough_clock_of
 from measure_learning.core.slips import changed, explain
-from measure_learning.core.stops import LEAST_STOPS, Stops, at_rest, is_standing, stop_sightings
+from measure_learning.core.stops import LEAST_STOPS, Stops, at_rest, is_sparse, stop_sightings
 
 _LEAST_POSES, _LEAST_S = 30, 15.0
 _LEAST_WAY_MM = 20.0  # across the longest way, of a robot without known kinematics
@@ -80,7 +81,7 @@ def register(recordings: Sequence[Recording], options: RegisterOptions) -> Robot
     if options.eye_in_hand:
         recordings = [replace(one, track=one.track.inverted()) for one in recordings]
     given = options.clock_offset_s
-    if any(is_standing(one) for one in recordings):
+    if any(is_sparse(one.track) for one in recordings):
         stops = [at_rest(one, given) for one in recordings]
         if all(stops):
             return register_stops([one for one in stops if one], schema, options)
@@ -99,7 +100,8 @@ def register(recordings: Sequence[Recording], options: RegisterOptions) -> Robot
         _refuse_turned(seen, schema, names, options)
         fit = fit_frames(seen, kinematics=options.kinematics)
         clocks = clocks + fit.clocks_s
-        if most > len(seen.poses) and np.abs(fit.clocks_s).max() < _SAME_CLOCK_S:
+        whole = most >= sum(len(one.track.times_s) for one in recordings)
+        if whole and np.abs(fit.clocks_s).max() < _SAME_CLOCK_S:
             break
     _refuse_slips(fit, seen, schema, options)
     slack = own_delays_s(fit, seen)
@@ -114,7 +116,7 @@ def register_stops(
     stops: Sequence[Stops], schema: StateSchema, options: RegisterOptions
 ) -> RobotFrame:
     """The same from pairs of pose and state of a robot at rest; see `register`."""
-    if options.kinematics and schema.chain is None:
+    if options.kinematics and (schema.chain is None or isinstance(schema.chain, ToolPoses)):
         raise _no_chain(schema)
     seen = stop_sightings(stops, schema)
     if len(seen.poses) < LEAST_STOPS:
@@ -153,7 +155,7 @@ def _frame(
 
 def _refuse_unfit(recordings: Sequence[Recording], kinematics: bool) -> None:
     schema = recordings[0].log.schema
-    if kinematics and schema.chain is None:
+    if kinematics and (schema.chain is None or isinstance(schema.chain, ToolPoses)):
         raise _no_chain(schema)
     for one in recordings:
         if one.track.rotations is None:
@@ -164,6 +166,10 @@ def _refuse_unfit(recordings: Sequence[Recording], kinematics: bool) -> None:
 
 
 def _no_chain(schema: StateSchema) -> EstimatorError:
+    if schema.chain is not None:
+        return EstimatorError(
+            "--kinematics: the log holds the tool's poses, and no joints whose links can be fitted"
+        )
     return EstimatorError(
         f"--kinematics: those of {schema.robot} are not known: describe its joints with "
         "alpha_deg in robot.toml"

@@ -77,9 +77,9 @@ def at_rest(one: Recording, clock_offset_s: float | None) -> Stops | None:
     return Stops(track.name, poses.take(pairs[:, 0]), states[pairs[:, 1]], one.shared)
 
 
-def is_standing(one: Recording) -> bool:
-    """Whether poses or states are so far apart in time that no motion is to be seen in them."""
-    steps = np.diff(one.track.measured().times_s)
+def is_sparse(track: PoseTrack) -> bool:
+    """Whether poses are so far apart in time that they show places and no motion."""
+    steps = np.diff(track.measured().times_s)
     return len(steps) > 0 and float(np.median(steps)) > _SPARSE_S
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -67,6 +68,7 @@ def misfit(where: str, schema: StateSchema, missing: Sequence[str], there: Seque
     return text + hint + (f"; its columns fit --robot {' or '.join(fitting)}" if fitting else "")
 
 
+_SAME_INSTANT_S = 1e-3
 _SAME_MM = 1e-9  # A controller's own position differs by more, if only by its last digit
 ROBOT_KEY = b"measure.robot"  # Under which a Parquet file of states names its robot
 
@@ -133,6 +135,29 @@ def write_log(path: Path, log: RobotLog) -> None:
 
         named = table.replace_schema_metadata({ROBOT_KEY: log.schema.robot})
         parquet.write_table(named, path, compression="zstd")
+
+
+def of_instants(path: Path, schema: StateSchema, times_s: Floats) -> StateSchema:
+    """The schema with seconds as its logs' unit, if a table's times are these: then they are that.
+
+    Stops are farther apart than a robot logs, so that the steps tell no unit.
+    """
+    if schema.log.time_unit_s is not None or not is_table(path):
+        return schema
+    from measure_learning.robots.tables import Table
+
+    table = Table.read(path)
+    columns = Clock(str(path), table.schema.names, schema).columns
+    if len(columns) != 1:
+        return schema
+    held = np.sort(table.numbers(*columns)[:, 0])
+    after = np.clip(np.searchsorted(held, times_s), 1, max(len(held) - 1, 1))
+    if len(held) < 2:
+        return schema
+    off = np.minimum(np.abs(held[after] - times_s), np.abs(held[after - 1] - times_s))
+    if np.mean(off < _SAME_INSTANT_S) < 0.9:
+        return schema
+    return replace(schema, log=replace(schema.log, time_unit_s=1.0))
 
 
 def check_robot(table: Columns, robot: str) -> None:
