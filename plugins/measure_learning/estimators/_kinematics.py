@@ -20,12 +20,18 @@ def levers(data: Dataset) -> tuple[Floats, Floats]:
     The units (outputs,) in rad and mm make each output move the tip by 1 mm RMS over these rows;
     one that never moves it has a unit of zero.
     """
-    slopes = np.tile(np.eye(3), (len(data), 1, 1))
-    if (chain := data.schema.chain) is not None:
-        slopes = np.concatenate([chain.jacobian(data.joints)[:, :3], slopes], axis=2)
+    slopes = tip_slopes(data)
     reach = np.sqrt((slopes**2).sum(axis=1).mean(axis=0))
     units = np.divide(1.0, reach, out=np.zeros_like(reach), where=reach > 0)
     return slopes * units, units
+
+
+def tip_slopes(data: Dataset) -> Floats:
+    """Motion of the tip by each output, (n, 3, outputs), per rad and mm."""
+    shift = np.tile(np.eye(3), (len(data), 1, 1))
+    if (chain := data.schema.chain) is None:
+        return shift
+    return np.concatenate([chain.jacobian(data.joints)[:, :3], shift], axis=2)
 
 
 class TorchTip:

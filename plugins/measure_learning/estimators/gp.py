@@ -1,30 +1,72 @@
-"""Mahler et al. 2014: Gaussian process regression with velocities and data cleaning."""
+"""Gaussian process with data cleaning (Mahler et al. 2014), on the states of play operators."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from measure import host
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
 from measure.geometry.covariance import MAD_TO_SD
-from measure_learning.estimators._inputs import StateWindow, WithinTrajectoryEstimator
-from measure_learning.estimators._kinematics import levers, tip_error
+from measure_learning.estimators._inputs import WithinTrajectoryEstimator
+from measure_learning.estimators._kinematics import levers, tip_error, tip_slopes
+from measure_learning.estimators._play import PlayBank
+
+_NARROWEST, _WIDEST = 0.01, 0.2  # half-widths of plays, as shares of the joint's range
+_STEP = 2.0  # by which a parameter of the kernel is multiplied or divided in the search
+_MOST_TRIALS = 24  # kernels, after which the search ends
+_JUDGES = 3000  # largest number of validation labels that choose the kernel
 
 
 class GpSettings(host.Settings):
     """Settings of `gp`."""
 
-    points: int = host.setting(700, "Number of training rows kept for prediction.", ge=20)
+    points: int = host.setting(2500, "Number of training rows kept for prediction.", ge=20)
     tuning_points: int = host.setting(
-        300, "Number of rows from which the kernel's parameters are chosen.", ge=20
+        400, "Number of rows from which the kernel is chosen and outliers are known.", ge=20
     )
+    play_widths: int = host.setting(8, "Number of play operators per joint combination.", ge=1)
     cleaning_sds: float = host.setting(
         3.0, "Rows with residuals of more than this many standard deviations are dropped.", gt=0
     )
 
 
+@dataclass(frozen=True)
+class _Kernel:
+    """A squared exponential of the inputs over their lengths."""
+
+    joints: float  # length over the SD of a joint (or of the position)
+    plays: float  # length over the half-width of a play
+    noise: float  # variance of a label's axis over that of an output, whose lever is 1 mm
+
+    def stretch(self, joints: int, plays: int) -> Floats:
+        """What the inputs (joints + plays) are multiplied by."""
+        return 1.0 / np.repeat([self.joints, self.plays], [joints, plays])
+
+    def neighbours(self) -> list[_Kernel]:
+        """A step away in one parameter."""
+        values = self.joints, self.plays, self.noise
+        steps = np.ones((6, 3))
+        steps[range(6), [2, 2, 1, 1, 0, 0]] = [_STEP, 1 / _STEP] * 3
+        return [_Kernel(*(values * step).tolist()) for step in steps]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """What the process learns from: some rows of a data set."""
+
+    inputs: Floats  # (n, columns)
+    labels: Floats  # (n, 3) mm, less their mean
+    slopes: Floats  # (n, 3, outputs)
+
+    def some(self, which: Ints) -> _Rows:
+        """A part of them."""
+        return _Rows(self.inputs[which], self.labels[which], self.slopes[which])
+
+
 class GpEstimator(WithinTrajectoryEstimator):
-    """Gaussian process on joints and velocities, cleaned of outliers (Mahler 2014).
+    """Gaussian process on joints and plays, cleaned of outliers (Mahler 2014, with velocities).
 
     Where the robot's chain is known, it is of joint errors g that explain the tip error J(q) g.
     Rows are a random subset; the process's own variance joins the reported covariance.
@@ -37,41 +79,99 @@ class GpEstimator(WithinTrajectoryEstimator):
     def learn(
         self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
     ) -> None:
-        """Choose the kernel by marginal likelihood; fit, drop outliers, fit again."""
+        """Choose the kernel by the validation trajectories, drop outliers, and fit."""
+        c = self.config
         self._data_schema = data.schema
         self._reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
-        self._window = StateWindow(self._reading.shape[1], 2)
-        inputs = self._inputs(data)
-        self._scaling = host.Scaling.of(inputs)
-        inputs = self._scaling.apply(inputs)
+        self._scaling = host.Scaling.of(data.states @ self._reading)
+        self._bank = PlayBank.of(data, c.play_widths, _NARROWEST, _WIDEST)
         usable = np.flatnonzero(data.usable)
         self._mean = data.errors_mm[usable].mean(axis=0)
-        labels = data.errors_mm - self._mean
         slopes, self._units = levers(data)
+        whole = _Rows(self._inputs(data), data.errors_mm - self._mean, slopes)
         dice = np.random.default_rng(seed)
-        few = dice.choice(usable, min(self.config.tuning_points, len(usable)), replace=False)
-        self._stretch, self._signal, self._noise = _tune(inputs[few], labels[few], slopes[few])
-        report(0.5, "kernel chosen")
-        rows = dice.choice(usable, min(2 * self.config.points, len(usable)), replace=False)
-        first = rows[: self.config.points]
-        self._solve(inputs[first], labels[first], slopes[first])
-        guess = _kernel(inputs[rows], self._points, self._stretch) @ self._weights
-        away = np.linalg.norm(labels[rows] - np.einsum("nij,nj->ni", slopes[rows], guess), axis=1)
-        clean = rows[away < self.config.cleaning_sds * MAD_TO_SD * np.median(away)]
-        first = clean[: self.config.points]
-        self._solve(inputs[first], labels[first], slopes[first])
+        few = whole.some(dice.choice(usable, min(c.tuning_points, len(usable)), replace=False))
+        self._kernel = self._chosen(few, validation, report)
+        rows = dice.choice(usable, min(2 * c.points, len(usable)), replace=False)
+        self._solve(few)
+        picked = whole.some(rows)
+        away = np.linalg.norm(picked.labels - self._tips(picked), axis=1)
+        clean = rows[away < c.cleaning_sds * MAD_TO_SD * np.median(away)]
+        self._solve(whole.some(clean[: c.points]))
         report(1.0, "fitted")
+
+    def _chosen(self, few: _Rows, validation: host.Dataset, report: host.Report) -> _Kernel:
+        """The kernel of the least squares on validation trajectories, by steps in each parameter.
+
+        The likelihood of the training rows would ask for shorter lengths: neighbours are alike.
+        """
+        used = np.flatnonzero(validation.usable)
+        used = used[:: -(-len(used) // _JUDGES)]
+        slopes = tip_slopes(validation)[used] * self._units
+        labels = validation.errors_mm[used] - self._mean
+        judge = _Rows(self._inputs(validation)[used], labels, slopes)
+        scores = dict[_Kernel, float]()
+
+        def score(kernel: _Kernel) -> float:
+            if kernel not in scores:
+                self._kernel = kernel
+                self._solve(few)
+                scores[kernel] = float(((judge.labels - self._tips(judge)) ** 2).sum())
+                report(min(0.5, 0.5 * len(scores) / _MOST_TRIALS), "choosing the kernel")
+            return scores[kernel]
+
+        best = _Kernel(3.0, 8.0, 0.25)  # what the arms measured so far chose
+        while len(scores) < _MOST_TRIALS:
+            if (other := min((best, *best.neighbours()), key=score)) == best:
+                break
+            best = other
+        return best
+
+    def _inputs(self, data: host.Dataset) -> Floats:
+        """Joints, and where in its play each stands."""
+        joints = self._scaling.apply(data.states @ self._reading)
+        return np.concatenate([joints, self._bank.features(data)], axis=1)
+
+    def _near(self, inputs: Floats) -> Floats:
+        """The kernel (n, points)."""
+        a = (inputs * self._stretch).astype(np.float32)
+        b = (self._points * self._stretch).astype(np.float32)
+        squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
+        return np.exp(-0.5 * np.maximum(squares, 0.0))
+
+    def _tips(self, rows: _Rows) -> Floats:
+        """Tip errors (n, 3), to first order."""
+        return np.einsum("nij,nj->ni", rows.slopes, self._near(rows.inputs) @ self._weights)
+
+    def _solve(self, rows: _Rows) -> None:
+        """In float32, as the graph computes."""
+        from scipy.linalg import cho_factor, cho_solve, solve_triangular  # slow to load
+
+        self._points = rows.inputs
+        self._stretch = self._kernel.stretch(self._reading.shape[1], self._bank.size)
+        near = self._near(rows.inputs)
+        slopes = rows.slopes.astype(np.float32)
+        factor = cho_factor(_gram(near, slopes, self._kernel.noise), lower=True, overwrite_a=True)
+        pulled = cho_solve(factor, rows.labels.astype(np.float32).ravel()).reshape(-1, 3)
+        self._weights = np.einsum("nij,ni->nj", slopes, pulled).astype(np.float64)
+        left = rows.labels - self._tips(rows)
+        # What is unknown of the tip error's mean axis, as if it were a process of its own.
+        signal = float((left**2).mean()) / self._kernel.noise
+        self._variance = signal * float((slopes**2).sum(axis=2).mean())
+        few = near[: self.config.tuning_points, : self.config.tuning_points]
+        alone = few * self._variance + signal * self._kernel.noise * np.eye(len(few))
+        inverse = solve_triangular(np.linalg.cholesky(alone), np.eye(len(few)), lower=True)
+        self._whitener = self._variance * inverse.T
 
     def compute(
         self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
     ) -> host.Core:
         """Mean and variance of the process."""
-        joints = graph.op("MatMul", features, self._reading)
-        window, after = self._window.in_graph(graph, joints, memory, tick)
-        count = self._reading.shape[1]
-        moved = graph.op("Sub", joints, graph.columns(window, range(count, 2 * count)))
-        inputs = self._scaling.in_graph(graph, graph.op("Concat", joints, moved, axis=1))
-        x = graph.op("Mul", inputs, self._stretch)
+        sizes = graph.constant([1, self._bank.size], np.int64)
+        started, states = graph.ops("Split", 2, memory, sizes, axis=1)
+        play, states = self._bank.in_graph(graph, features, states, started)
+        joints = self._scaling.in_graph(graph, graph.op("MatMul", features, self._reading))
+        x = graph.op("Mul", graph.op("Concat", joints, play, axis=1), self._stretch)
         points = self._points * self._stretch
         cross = graph.op("MatMul", x, -2.0 * points.T)
         square = graph.op("ReduceSumSquare", x, axes=[1], keepdims=1)
@@ -80,78 +180,24 @@ class GpEstimator(WithinTrajectoryEstimator):
         outputs = graph.op("MatMul", near, self._weights * self._units)
         error = tip_error(graph, self._data_schema, features, outputs)
         mean = graph.op("Add", error, self._mean)
+        few = graph.columns(near, range(len(self._whitener)))
         explained = graph.op(
-            "ReduceSumSquare", graph.op("MatMul", near, self._whitener), axes=[1], keepdims=1
+            "ReduceSumSquare", graph.op("MatMul", few, self._whitener), axes=[1], keepdims=1
         )
         unknown = graph.op("Sub", np.array([[self._variance]]), explained)
         variance = graph.op("Max", unknown, np.zeros((1, 1)))
-        return host.Core(mean, after, variance, self._window.size)
-
-    def _inputs(self, data: host.Dataset) -> Floats:
-        """Joints and how far they moved since the last row."""
-        joints = data.states @ self._reading
-        window = self._window.features(data, joints)
-        return np.concatenate([joints, joints - window[:, joints.shape[1] :]], axis=1)
-
-    def _solve(self, points: Floats, labels: Floats, slopes: Floats) -> None:
-        from scipy.linalg import cho_factor, cho_solve, solve_triangular
-
-        self._points = points
-        near = _kernel(points, points, self._stretch)
-        factor = cho_factor(_gram(self._signal * near, slopes, self._noise), lower=True)
-        pulled = cho_solve(factor, labels.ravel()).reshape(-1, 3)
-        self._weights = self._signal * np.einsum("nij,ni->nj", slopes, pulled)
-        # What is unknown of the tip error's mean axis, as if it were a process of its own.
-        self._variance = self._signal * float((slopes**2).sum(axis=2).mean())
-        alone = cho_factor(self._variance * near + self._noise * np.eye(len(near)), lower=True)
-        inverse = solve_triangular(alone[0], np.eye(len(points)), lower=True)
-        self._whitener = self._variance * inverse.T
+        after = graph.op("Concat", graph.ones_like(started), states, axis=1)
+        return host.Core(mean, after, variance, 1 + self._bank.size)
 
 
-def _kernel(a: Floats, b: Floats, stretch: Floats) -> Floats:
-    from scipy.spatial.distance import cdist
-
-    return np.exp(-0.5 * cdist(a * stretch, b * stretch, "sqeuclidean"))
-
-
-def _gram(covariance: Floats, slopes: Floats, noise: float) -> Floats:
+def _gram(near: Floats, slopes: Floats, noise: float) -> Floats:
     """Covariance (3n, 3n) of tip errors, of that of each output (n, n)."""
-    flat = slopes.reshape(-1, slopes.shape[2])
-    gram = flat @ flat.T * covariance.repeat(3, axis=0).repeat(3, axis=1)
-    gram[np.diag_indices_from(gram)] += noise
+    count, flat = len(slopes), slopes.reshape(-1, slopes.shape[2])
+    gram = (flat @ flat.T).reshape(count, 3, count, 3)
+    gram *= near[:, None, :, None]
+    gram = gram.reshape(3 * count, -1)
+    gram[np.diag_indices(len(gram))] += noise
     return gram
-
-
-def _tune(inputs: Floats, labels: Floats, slopes: Floats) -> tuple[Floats, float, float]:
-    """Inverse lengths of positions and of velocities, signal and noise variance (mm^2).
-
-    They maximise the marginal likelihood, the outputs being independent draws.
-    """
-    from scipy.linalg import cho_factor, cho_solve  # slow to load, as is scipy.optimize
-    from scipy.optimize import minimize
-
-    half = inputs.shape[1] // 2
-    variance = float((labels**2).mean())
-
-    def unpack(log: Floats) -> tuple[Floats, float, float]:
-        stretch = np.exp(-np.repeat(log[:2], [half, inputs.shape[1] - half]))
-        return stretch, variance * float(np.exp(log[2])), variance * float(np.exp(log[3]))
-
-    def cost(log: Floats) -> float:
-        stretch, signal, noise = unpack(log)
-        gram = _gram(signal * _kernel(inputs, inputs, stretch), slopes, noise + 1e-9)
-        factor = cho_factor(gram, lower=True)
-        fit = float(labels.ravel() @ cho_solve(factor, labels.ravel()))
-        return 0.5 * fit + float(np.log(np.diag(factor[0])).sum())
-
-    best = minimize(
-        cost,
-        [1.0, 1.0, 0.0, -2.0],
-        method="L-BFGS-B",
-        bounds=[(-1, 4), (-1, 6), (-3, 3), (-7, 1)],
-        options={"maxiter": 25},
-    )
-    return unpack(best.x)
 
 
 @host.hookimpl
