@@ -85,9 +85,9 @@ def play(
         for number, due_s in _turns(reel.times_s, options):
             if stop.wait(max(begun + due_s - time.monotonic(), 0.0)):
                 break
-            exposed_s = since_1970 + begun + due_s
+            exposed_s, now_s = since_1970 + begun + due_s, since_1970 + time.monotonic()
             marks = reel.marks(number, exposed_s, options.rate)
-            sending.send(reel.poses(number, exposed_s), marks)
+            sending.send(reel.poses(number, exposed_s, now_s), marks)
             late_s = max(late_s, time.monotonic() - begun - due_s)
             show(number)
             played += 1
@@ -154,9 +154,9 @@ class Reel:
                 out[-1][row["index"]].append(ball)
         return out
 
-    def poses(self, number: int, exposed_s: float) -> list[SentPose]:
+    def poses(self, number: int, exposed_s: float, known_s: float) -> list[SentPose]:
         """The poses of a frame set."""
-        return [track.sent(number, exposed_s) for track in self._tracks]
+        return [track.sent(number, exposed_s, known_s) for track in self._tracks]
 
     def marks(self, number: int, exposed_s: float, rate: float) -> list[EventMark]:
         """The event marks since the frame set before."""
@@ -170,7 +170,7 @@ class Reel:
 
     def measurements(self, number: int) -> list[Measurement]:
         """The measurements of a frame set, without what its pictures showed."""
-        sent = [track.sent(number, 0.0) for track in self._tracks]
+        sent = [track.sent(number, 0.0, 0.0) for track in self._tracks]
         return [
             Measurement(
                 *(one.frame, one.time_s, {}, (), tuple(balls[one.frame]), one.pose),
@@ -190,7 +190,7 @@ class _PlayedBody:
         self._places = numbers(table, *PLACE)
         self._covariances = matrices(table, "covariance", 6)
 
-    def sent(self, number: int, exposed_s: float) -> SentPose:
+    def sent(self, number: int, exposed_s: float, known_s: float) -> SentPose:
         """The pose of a frame set."""
         row, place = self._rows[number], self._places[number]
         pose = None
@@ -211,7 +211,7 @@ class _PlayedBody:
             row["index"],
             row["time_s"],
             exposed_s=exposed_s,
-            known_s=time.time(),
+            known_s=known_s,
             status=row["status"],
             reason=row["reason"],
             pose=pose,

@@ -60,15 +60,15 @@ def open_sending(options: SendOptions, registry: Registry, run: SentRun) -> Send
 
 
 def _build(text: str, settings: Mapping[str, Any], registry: Registry, run: SentRun) -> Sink:
-    scheme, _, rest = text.partition(":")
+    scheme, colon, rest = text.partition(":")
     address, _, query = rest.removeprefix("//").partition("?")
     known = [registry.find("sink", name).plugin for name in registry.names("sink")]
-    forms = f"--send takes {', '.join(getattr(one, 'form', '') for one in known)}"
-    if (
-        scheme not in [one.name for one in known] + [one.name for one in registry.broken]
-        or not rest
-    ):
-        raise ConfigError(f"--send {text}: no sink is called so; {forms}")
+    form_of = {one.name: getattr(one, "form", "") for one in known}
+    forms = f"--send takes {', '.join(form_of.values())}"
+    if scheme not in [*form_of, *(one.name for one in registry.broken)]:
+        raise ConfigError(f"--send {text}: no sink is called '{scheme}'; {forms}")
+    if not (colon and rest):
+        raise ConfigError(f"--send {text}: expected {form_of.get(scheme) or 'an address'}")
     try:
         given = {**settings, **dict(parse_qsl(query))}
         return registry.build(Sink, scheme, given, address=address, run=run)

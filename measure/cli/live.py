@@ -36,7 +36,8 @@ class _DestinationOptions:
     Attributes:
         out: the run's folder, made if it is not there.
         record: a session folder to record the pictures into as well.
-        send: where every pose is sent, such as udp://127.0.0.1:5005; may be repeated.
+        send: where every pose is sent, such as udp://127.0.0.1:5005, igtl://, foxglove://,
+            lsl:triball, zenoh:triball; may be repeated.
         marks: where event marks come from, udp://:PORT or lsl:NAME; may be repeated.
         mark: mark an event with Enter, and with what was typed before it.
     """

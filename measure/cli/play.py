@@ -41,7 +41,8 @@ def play(
         rate: how many times as fast as it was recorded.
         loop: begin again at its end.
         wait_s: seconds before the first pose or picture, so that receivers are all there.
-        send: where every pose is sent, such as udp://127.0.0.1:5005; may be repeated.
+        send: where every pose is sent, such as udp://127.0.0.1:5005, igtl://, foxglove://,
+            lsl:triball, zenoh:triball; may be repeated.
         set_: a setting of a sink as SINK.NAME=VALUE, such as udp.format=osc; may be repeated.
         spawn: open the viewer and show the run.
         connect: show it in a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.

@@ -374,7 +374,7 @@ def test_an_address_to_send_to_that_is_none(session, tmp_path, capsys):
     addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
     command = words("live", session, addresses, tmp_path / "r", "--send", "nowhere")
     assert main(command) == 2
-    assert "--send nowhere: no sink is called so; --send takes " in capsys.readouterr().err
+    assert "--send nowhere: no sink is called 'nowhere'; --send takes " in capsys.readouterr().err
 
 
 def test_an_address_of_marks_that_is_none_is_refused_first(session, tmp_path, capsys):

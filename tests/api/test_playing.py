@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import signal
 import socket
+import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -49,6 +51,31 @@ def test_every_pose_is_received_at_its_turn(run, capsys):
     check_same(received, run)
     steps = np.diff([one.exposed_s for one in received])
     np.testing.assert_allclose(steps, 1 / 200.0, atol=1e-5)
+
+
+def test_the_machines_clock_may_be_set_back_meanwhile(run, monkeypatch):
+    """Poses keep their turns, and none is known before its pictures were taken."""
+    count, clock = 0, SimpleNamespace(**vars(time))
+
+    def set_back():
+        nonlocal count
+        count += 1
+        return time.time() - (3600.0 if count > 1 else 0.0)
+
+    clock.time = set_back
+    for module in [one for name, one in sys.modules.items() if name.startswith("measure.")]:
+        if getattr(module, "time", None) is time:
+            monkeypatch.setattr(module, "time", clock)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5.0)
+        where = f"udp://127.0.0.1:{receiver.getsockname()[1]}"
+        end = play(run, Registry.discover(), PlayOptions(wait_s=0.0, rate=20.0, send=(where,)))
+        rows = [json.loads(receiver.recv(65_536)) for _ in range(end.frame_sets)]
+    assert end.frame_sets == FRAMES
+    assert np.all(np.diff([row["exposed_s"] for row in rows]) > 0)
+    ages_s = [row["known_s"] - row["exposed_s"] for row in rows]
+    assert 0 <= min(ages_s) <= max(ages_s) < 5
 
 
 def test_bodies_and_relative_poses_are_named(two):
@@ -114,9 +141,9 @@ def test_an_interrupt_ends_a_loop(run, capsys):
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        (("--send", "nowhere"), "--send nowhere: no sink is called so; --send takes "),
-        (("--send", "osc://127.0.0.1:1"), "--send osc://127.0.0.1:1: no sink is called so; "),
-        (("--send", "udp://127.0.0.1"), "udp://127.0.0.1: expected HOST:PORT, such as "),
+        (("--send", "nowhere"), "--send nowhere: no sink is called 'nowhere'; --send takes "),
+        (("--send", "osc://127.0.0.1:1"), "--send osc://127.0.0.1:1: no sink is called 'osc'; "),
+        (("--send", "udp://127.0.0.1:x"), "udp://127.0.0.1:x: expected HOST:PORT, such as "),
         (("--send", "udp://127.0.0.1:5?form=osc"), "unknown setting 'form'; it has format"),
         (("--send", "udp://127.0.0.1:5", "--set", "udp.format=xml"), "'format': input should be"),
         (("--send", "udp://127.0.0.1:5", "--set", "igt.x=1"), "--set igt.x=1: expected SINK.NAME"),

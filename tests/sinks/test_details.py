@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import foxglove.messages
 import numpy as np
+import pyigtl
 import pylsl
 import pytest
 from rosbags.typesys import Stores, get_typestore
@@ -22,6 +23,7 @@ from websockets.sync.client import connect
 from benchmarks.sinks import HOST, address, body, camera, free_port, measurement
 from measure.api.sending import SendOptions, open_sending, sent_pose
 from measure.cli import main
+from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentRun, Sink, plain_names
 from measure.model import Image
 from tests.receiving import wait_for
@@ -96,6 +98,36 @@ def test_igtl_shortens_every_name_by_one_rule_and_tells_it():
     assert {"Tool1ToTracker", "Tool12ToTracker"} <= set(names)
 
 
+def test_pyigtl_receives_every_body_by_the_name_that_is_told():
+    """3D Slicer's names, units and stamps, whatever bodies are called."""
+    where, run = address("igtl"), run_of(*HOSTILE)
+    sink = build(where, run)
+    told = dict(line.rsplit(" is sent as ", 1) for line in sink.notes)
+    assert set(told) == set(HOSTILE)
+    sink.open()
+    client = pyigtl.OpenIGTLinkClient(HOST, int(where.rpartition(":")[2]))
+    try:
+        wait_for(client.is_connected)
+        received = {}
+
+        def is_complete():
+            for k, name in enumerate(HOSTILE):
+                sink.send(sent_pose(measurement(k, 0.1 * k + 1), name))
+            time.sleep(0.05)
+            received.update((one.device_name, one) for one in client.get_latest_messages())
+            return len(received) == len(HOSTILE)
+
+        wait_for(is_complete)
+    finally:
+        client.stop()
+        sink.close()
+    assert set(received) == set(told.values())
+    for k, name in enumerate(HOSTILE):
+        message, expected = received[told[name]], measurement(k, 0.1 * k + 1).pose
+        np.testing.assert_allclose(message.matrix, expected.world_from_body.matrix, atol=1e-4)
+        assert message.timestamp == pytest.approx(0.1 * k + 1, abs=1e-6)
+
+
 def test_one_rule_names_bodies_wherever_names_are_restricted():
     words = plain_names([*HOSTILE, "pointer tool"])
     assert len(set(words.values())) == len(words)
@@ -111,6 +143,20 @@ def test_foxglove_topics_hold_no_blanks_and_differ():
     topics = [sink._topic(*stream) for stream in sink.run.streams]
     assert len(set(topics)) == len(topics)
     assert all(re.fullmatch("(/[A-Za-z][A-Za-z0-9_]*){1,2}", topic) for topic in topics)
+
+
+def test_an_address_that_is_none_says_what_is_expected():
+    registry, run = Registry.discover(), run_of("tool")
+    for given, words in (
+        ("lsl", "--send lsl: expected lsl:NAME"),
+        ("zenoh:", "--send zenoh:: expected zenoh:KEY"),
+        ("udq://h:1", "no sink is called 'udq'; --send takes foxglove://HOST:PORT, "),
+        ("udp://h:p", "expected HOST:PORT, such as 127.0.0.1:5005"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            open_sending(SendOptions((given,), note=lambda _: None), registry, run)
+    assert build("udp://", run)._place == (HOST, 5005)
+    assert build("udp://127.0.0.2", run)._place == ("127.0.0.2", 5005)
 
 
 @pytest.mark.parametrize(("given", "place"), [

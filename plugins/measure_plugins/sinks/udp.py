@@ -39,7 +39,7 @@ class UdpSink(Sink):
 
     def prepare(self) -> None:
         """Read the address and load the libraries."""
-        self._family, self._place = _place(*host_port(self.address))
+        self._family, self._place = _place(*host_port(self.address, 5005))
         self._socket: socket.socket | None = None
         self._osc: Any = None
         self._words = plain_names(body.name for body in self.run.bodies)
