@@ -59,7 +59,7 @@ def compilation_notice() -> Iterator[Callable[[], None]]:
 
 
 def _notify(over: threading.Event, compiled: Sequence[object]) -> None:
-    begun_s = time.time()
+    begun_s, begun = time.time(), time.monotonic()
     while not compiled:
         if over.wait(PATIENCE_S):
             return
@@ -70,6 +70,6 @@ def _notify(over: threading.Event, compiled: Sequence[object]) -> None:
     )
     _log.warning("compiling the hot loops: %s, two to five minutes", often)
     while not over.wait(AGAIN_S):
-        share, taken_s = share_compiled(begun_s), time.time() - begun_s
+        share, taken_s = share_compiled(begun_s), time.monotonic() - begun
         left = f", about {taken_s * (1 / share - 1):.0f} s left" if share else ""
         _log.warning("compiling the hot loops: %.0f %% done%s", 100 * share, left)

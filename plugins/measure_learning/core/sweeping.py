@@ -7,7 +7,6 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -200,15 +199,22 @@ def failures(study: Any) -> list[str]:
     return [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
 
 
-def requeue_dead(study: Any) -> None:
-    """Queue the settings of dead workers for the next worker."""
+def requeue_dead(study: Any, seen_s: dict[int, float]) -> None:
+    """Queue the settings of dead workers for the next worker.
+
+    `seen_s` is kept from call to call: since when each trial was seen to run, on the clock of
+    `time.monotonic`; the machines' own clocks may be set, and differ.
+    """
     import optuna
 
     trials = study.get_trials(deepcopy=False)
     took = [t.duration.total_seconds() for t in trials if t.duration is not None]
     patience_s = max(_MIN_PATIENCE_S, 10.0 * max(took, default=0.0))
     for trial in trials:
-        if trial.state != optuna.trial.TrialState.RUNNING or not _abandoned(trial, patience_s):
+        if trial.state != optuna.trial.TrialState.RUNNING:
+            continue
+        watched_s = time.monotonic() - seen_s.setdefault(trial.number, time.monotonic())
+        if not _abandoned(trial, watched_s > patience_s):
             continue
         try:
             study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
@@ -217,11 +223,11 @@ def requeue_dead(study: Any) -> None:
         study.enqueue_trial(trial.params)
 
 
-def _abandoned(trial: Any, patience_s: float) -> bool:
-    """A worker of this machine is known to be gone; one of another is given up after a while."""
+def _abandoned(trial: Any, long: bool) -> bool:
+    """A worker of this machine is known to be gone; one of another is given up after long."""
     host, _, pid = trial.user_attrs.get("worker", "").rpartition(":")
     if host != os.uname().nodename:
-        return bool((datetime.now() - trial.datetime_start).total_seconds() > patience_s)
+        return long
     try:
         os.kill(int(pid), 0)
     except ProcessLookupError:
@@ -282,9 +288,9 @@ def sweep(
     run the trials, or without one this process. EstimatorError: an extra is missing, the journal is
     damaged or of another sweep, or as many trials failed as were wanted.
     """
-    study = open_study(journal, job.identity)
+    study, seen_s = open_study(journal, job.identity), dict[int, float]()
     while True:
-        requeue_dead(study)
+        requeue_dead(study, seen_s)
         state = sweep_state(study)
         report(min(1.0, state.finished / trials), f"{state.finished} of {trials} trials")
         if state.finished >= trials:
