@@ -14,6 +14,8 @@ from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, get_args, get_origin
 
+from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
+
 from measure.errors import MeasureError
 
 MAX_TEXT_BYTES = 64 << 20  # Largest file of text: millions of rows
@@ -147,7 +149,20 @@ def check_numbers(values: Any, most: float = LARGEST) -> None:
         raise ValueError(f"expected a finite number within {most:g}, got {values!r:.20}")
 
 
-def check_field(name: str, annotation: Any, value: Any) -> None:
+class FileModel(BaseModel):
+    """Base of what is read from a file: frozen, a misspelt key is an error, numbers are numbers."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _holds_numbers(cls, value: Any, info: ValidationInfo) -> Any:
+        name = str(info.field_name)
+        _check_field(name, cls.model_fields[name].annotation, value)
+        return value
+
+
+def _check_field(name: str, annotation: Any, value: Any) -> None:
     """Hold a field of a file to `check_numbers`, if its type says that it holds numbers alone.
 
     Seconds (`_s`) have bounds of their own, as those since 1970 are beyond 1e9; covariances are

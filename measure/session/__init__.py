@@ -1,12 +1,12 @@
 """Recordings: session folders, images and videos, clocks, calibrations and body files."""
 
+from measure.reading import FileModel
 from measure.session.body_file import read_bodies, read_body, write_bodies, write_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
 from measure.session.consistency import check_bodies, check_unit
 from measure.session.damage import damaged_frames, holds_jpeg
 from measure.session.files import (
-    FileModel,
     Length,
     Name,
     Position,

@@ -17,7 +17,8 @@ from measure.errors import DegenerateGeometryError, SessionError
 from measure.model import Ball, BallColor, Body, ColorRange
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.model.color import NAMED_RANGES
-from measure.session.files import FileModel, Length, Name, Position, SafeName, dump_toml, load_toml
+from measure.reading import FileModel
+from measure.session.files import Length, Name, Position, SafeName, dump_toml, load_toml
 from measure.session.pictures import read_picture
 
 Level = Annotated[int, Field(ge=0, le=255)]

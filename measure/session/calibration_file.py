@@ -22,7 +22,8 @@ from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, Projection
 from measure.model.camera import check_coefficients
-from measure.session.files import FileModel, SafeName, dump_toml, load_toml
+from measure.reading import FileModel
+from measure.session.files import SafeName, dump_toml, load_toml
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Row = list[FiniteFloat]

@@ -13,19 +13,10 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-)
+from pydantic import AfterValidator, BaseModel, Field, FiniteFloat, ValidationError
 
 from measure.errors import MeasureError, SessionError
-from measure.reading import check_field, check_ordinary, parse_toml, read_toml_text
+from measure.reading import check_ordinary, parse_toml, read_toml_text
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -80,19 +71,6 @@ Length = Annotated[FiniteFloat, Field(ge=1e-3, le=1e6)]
 _Coordinate = Annotated[FiniteFloat, Field(ge=-1e6, le=1e6)]
 Position = tuple[_Coordinate, _Coordinate, _Coordinate]
 """Where a thing stands, mm: no further than a kilometre from the origin."""
-
-
-class FileModel(BaseModel):
-    """Base of what is read from a file: frozen, a misspelt key is an error, numbers are numbers."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _holds_numbers(cls, value: Any, info: ValidationInfo) -> Any:
-        name = str(info.field_name)
-        check_field(name, cls.model_fields[name].annotation, value)
-        return value
 
 
 def load_toml(path: Path | str, model: type[M], error: type[MeasureError] = SessionError) -> M:

@@ -14,12 +14,12 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from measure.errors import CalibrationError, SessionError
 from measure.model import Body, Camera
-from measure.reading import missing_message
+from measure.reading import FileModel, missing_message
 from measure.session.body_file import BodyModel, read_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration
 from measure.session.consistency import check_bodies, check_unit
-from measure.session.files import FileModel, Name, SafeName, load_toml
+from measure.session.files import Name, SafeName, load_toml
 from measure.session.session import Session
 from measure.session.stated_rig import Unit
 from measure.session.streams import Stream, open_image_stream

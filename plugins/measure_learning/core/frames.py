@@ -13,7 +13,8 @@ from pydantic import FiniteFloat
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, propagate, skew
-from measure.session import FileModel, StatedTransform, dump_toml, load_toml
+from measure.reading import FileModel
+from measure.session.files import dump_toml, load_toml
 from measure_learning.core.assemble import PoseTrack
 
 

@@ -10,22 +10,12 @@ from typing import Annotated, Any, Literal
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, FiniteFloat, ValidationError, model_validator
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.reading import LARGEST, check_field, parse_toml, read_text, read_toml_text
+from measure.reading import LARGEST, FileModel, parse_toml, read_text, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
 from measure.robots.schema import UNITS_S, Feature, LogFormat, OtherNames, Reading, StateSchema
 
@@ -127,18 +117,7 @@ _JOINT_NAMES = ("q[{0}]", "q{1}", "q_{1}", "q_{0}", "joint_{1}", "joint{1}", "jo
 _POSITION_NAMES = (("x_mm", "y_mm", "z_mm"), ("x_m", "y_m", "z_m"))
 
 
-class _File(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _holds_numbers(cls, value: Any, info: ValidationInfo) -> Any:
-        name = str(info.field_name)
-        check_field(name, cls.model_fields[name].annotation, value)
-        return value
-
-
-class _Column(_File):
+class _Column(FileModel):
     name: str
     unit: str = ""
 
@@ -154,7 +133,7 @@ _Length = Annotated[FiniteFloat, Field(ge=-1e4, le=1e4)]
 _Angle = Annotated[FiniteFloat, Field(ge=-360, le=360)]
 
 
-class _JointTable(_File):
+class _JointTable(FileModel):
     """A joint and its Denavit-Hartenberg link."""
 
     feature: str
@@ -166,35 +145,35 @@ class _JointTable(_File):
     d_mm: _Length = 0.0
 
 
-class _Names(_File):
+class _Names(FileModel):
     """Columns of a log, for all joints or the three coordinates; {0} and {1} count from there."""
 
     names: str | list[str]
     scale: _Factor = 1.0
 
 
-class _Log(_File):
-    joints: list[_Names] = []
-    position: list[_Names] = []
+class _Log(FileModel):
+    joints: Annotated[list[_Names], Field(default_factory=list)]
+    position: Annotated[list[_Names], Field(default_factory=list)]
     time: str | None = None
     time_unit: Literal["s", "ms", "us", "ns"] | None = None
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
-    topics: list[str] = []
-    tip_topics: list[str] = []
+    topics: Annotated[list[str], Field(default_factory=list)]
+    tip_topics: Annotated[list[str], Field(default_factory=list)]
     frames: tuple[str, str] | None = None
 
 
-class _Robot(_File):
+class _Robot(FileModel):
     robot: str
-    features: list[_Column] = []
+    features: Annotated[list[_Column], Field(default_factory=list)]
     position: Annotated[list[str], Field(min_length=3, max_length=3)] | None = None
     position_to_mm: Annotated[FiniteFloat, Field(ge=1e-9, le=1e9)] | None = None
-    joints: list[_JointTable] = []
+    joints: Annotated[list[_JointTable], Field(default_factory=list)]
     dh: Literal["craig", "standard"] = "craig"
     urdf: str | None = None
     base: str | None = None
     tip: str | None = None
-    coupled: list[int] = []
+    coupled: Annotated[list[int], Field(default_factory=list)]
     tool_mm: tuple[_Length, _Length, _Length] = (0.0, 0.0, 0.0)
     tool_rotvec_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
     log: _Log = _Log()
