@@ -86,7 +86,7 @@ from measure.capture import (
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement
-from measure.model import Camera
+from measure.model import Camera, Image
 from measure.results.evaluation import evaluation_tables
 from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
 
@@ -94,19 +94,19 @@ __all__ = [
     "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "MARK_KINDS", "TAG_FAMILIES", "TYPED", "Addition",
     "BallWatch", "Calibration", "CalibrationResult", "Camera", "CameraAddress", "CameraCount",
     "CameraNow", "CaptureOptions", "CaptureRequest", "Control", "Demo", "DeviceControls",
-    "FocalFrom", "FoundBody", "FoundCamera", "Lens", "LiveEnd", "LiveOptions", "LiveState", "Mark",
-    "MarkKind", "Marking", "Measurement", "Mode", "Outcome", "PictureFacts", "PlayEnd",
-    "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry", "RigidTransform",
-    "RunOptions", "Samples", "SeenPicture", "SessionCheck", "SyncedClock", "Verdict",
-    "WatchedCamera", "WaveState", "begin_marks", "board_frame", "board_length", "body_names",
-    "build_pipeline", "calibrate", "calibrate_to", "camera_line", "camera_names", "cameras",
-    "capture_board", "check", "choose", "compare", "contents_of", "demo", "demo_cameras",
-    "described", "detect", "draw", "draw_target", "drawings", "evaluate", "evaluation_tables",
-    "events", "export", "find_body", "inside", "learnt_colors", "live", "load_profile",
-    "mark_event", "measure_bodies", "measure_session", "new_folder", "next_free", "output",
-    "parse_cameras", "parse_click", "parse_controls", "parse_expectation", "parse_images",
-    "parse_size", "play", "play_cameras", "profile_names", "read_body", "read_calibration",
-    "record", "refine", "render_demo", "report", "run", "run_many", "sampled_color",
-    "shipped_targets", "sync", "usb_notes", "web_viewer", "write_body", "write_calibration",
-    "write_measured_board", "write_sampled_body",
+    "FocalFrom", "FoundBody", "FoundCamera", "Image", "Lens", "LiveEnd", "LiveOptions",
+    "LiveState", "Mark", "MarkKind", "Marking", "Measurement", "Mode", "Outcome", "PictureFacts",
+    "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "RefineResult", "Registry",
+    "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "SyncedClock",
+    "Verdict", "WatchedCamera", "WaveState", "begin_marks", "board_frame", "board_length",
+    "body_names", "build_pipeline", "calibrate", "calibrate_to", "camera_line", "camera_names",
+    "cameras", "capture_board", "check", "choose", "compare", "contents_of", "demo",
+    "demo_cameras", "described", "detect", "draw", "draw_target", "drawings", "evaluate",
+    "evaluation_tables", "events", "export", "find_body", "inside", "learnt_colors", "live",
+    "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "next_free",
+    "output", "parse_cameras", "parse_click", "parse_controls", "parse_expectation",
+    "parse_images", "parse_size", "play", "play_cameras", "profile_names", "read_body",
+    "read_calibration", "record", "refine", "render_demo", "report", "run", "run_many",
+    "sampled_color", "shipped_targets", "sync", "usb_notes", "web_viewer", "write_body",
+    "write_calibration", "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

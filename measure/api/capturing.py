@@ -30,6 +30,8 @@ _MARK = "capture.toml"
 _MIRRORED: Literal["mirrored"] = "mirrored"
 _QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 98)
 
+OnCorners = Callable[[Sequence[Image], Mapping[str, Floats]], None]
+
 
 def capture_board(
     cameras: Sequence[CameraAddress],
@@ -40,7 +42,7 @@ def capture_board(
     body: Path | None = None,
     goal_mm: float = GOAL_MM,
     on_state: Callable[[WaveState], None] = lambda _: None,
-    on_corners: Callable[[Mapping[str, Floats]], None] = lambda _: None,
+    on_corners: OnCorners = lambda _images, _corners: None,
 ) -> WaveState | None:
     """Take pictures of a board that is waved, those that add something, until they are enough.
 
@@ -51,7 +53,8 @@ def capture_board(
         body: that will be measured; the paper's three balls if omitted.
         goal_mm: expected error of the body's position (standard deviation) that is good enough.
         on_state: called after every frame set.
-        on_corners: called with the corners (n, 2) px that each camera shows, by its name, before.
+        on_corners: called before with the pictures, and the corners (n, 2) px that each camera
+            shows, by its name.
 
     Returns:
         How far the pictures suffice; None if no picture came.
@@ -79,7 +82,7 @@ def _wave(
     wave: BoardWave,
     out: Path,
     on_state: Callable[[WaveState], None],
-    on_corners: Callable[[Mapping[str, Floats]], None],
+    on_corners: OnCorners,
 ) -> WaveState | None:
     """Gather pictures, and write those that the wave keeps."""
     state, rig = None, opened.cameras
@@ -91,7 +94,7 @@ def _wave(
             images = [*one.images.values()]
             seen = dict(zip(one.images, pool.map(partial(_look, wave.board), images), strict=True))
             views = {name: view for name, view in seen.items() if isinstance(view, Corners)}
-            on_corners({name: view.pixels for name, view in views.items()})
+            on_corners(images, {name: view.pixels for name, view in views.items()})
             wave.sizes_wh.update((i.camera, i.pixels.shape[1::-1]) for i in images)
             times_s = {image.camera: image.time_s for image in images}
             mirrored = [name for name, view in seen.items() if view == _MIRRORED]

@@ -58,6 +58,7 @@ class LiveState:
     overtaken: int  # pictures a camera that were left out for newer ones
     unreadable: int  # pictures that could not be decoded
     cameras: Mapping[str, CameraCount]  # what has come of each
+    images: Mapping[str, Image]  # the pictures that were measured, by camera
     away: tuple[str, ...] = ()  # the cameras that are away now
 
 
@@ -136,7 +137,7 @@ def live(
             sending.send(_sent_poses(sent, known, rig.clock_s()), images=frame_set.images)
             writer.append(*known)
             log.add(known, frame_set)
-            state = watch.state(known)
+            state = watch.state(known, frame_set.images)
             on_state(state)
         rig.check()
         log.close()
@@ -245,8 +246,8 @@ class _PaceMeter:
         self._done: deque[float] = deque(maxlen=_RECENT)
         self._ages: deque[float] = deque(maxlen=_RECENT)
 
-    def state(self, measured: Sequence[Measurement]) -> LiveState:
-        """The state after these measurements of a frame set."""
+    def state(self, measured: Sequence[Measurement], images: Mapping[str, Image]) -> LiveState:
+        """The state after these measurements of a frame set's pictures."""
         now = time.monotonic()
         self._done.append(now)
         self._ages.append(self._rig.clock_s() - measured[0].time_s)
@@ -259,5 +260,6 @@ class _PaceMeter:
             self._gathering.overtaken,
             self._gathering.unreadable,
             self._rig.counts,
+            images,
             self._rig.away,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,7 +20,7 @@ from measure.api.folders import write_named
 from measure.api.lenses import Lens, LensOf
 from measure.api.profiles import build_detectors, load_profile
 from measure.api.recording import CaptureRequest
-from measure.arrays import Bytes
+from measure.arrays import Bytes, Floats
 from measure.capture import CameraAddress, CameraCount, Cameras
 from measure.errors import MeasureError
 from measure.host import Registry
@@ -34,9 +34,13 @@ _AGAIN_S = 1.0  # Wait before a camera that could not be reached is tried again
 _ROWS, _COLUMNS = 360, 480  # Of a picture that are judged, at least, where it has as many
 _REACH_PX = 25  # Width within which an edge's contrast is taken
 _EDGES, _BRIGHTEST = 0.9995, 0.99  # Quantiles that stand for the edges, and for what is bright
-_SEEN_S = 5.0  # How long a ball that was found is shown
+_SEEN_S = 5.0  # How long a ball that was found is named
+_HELD_S = 1.5
+"""How long a picture stays in which something was found, if no other comes: what is drawn into a
+newer one would lie beside what moves."""
 _SEARCH_SHARE = 0.3  # Share of one core that searching pictures for balls may take
 _MARK_BGR, _BALL_BGR = (255, 0, 255), (255, 255, 255)
+_NAME_PX = 17  # Size of names beside outlines
 
 
 @dataclass(frozen=True)
@@ -102,6 +106,7 @@ class Preview:
         self._newest: dict[str, Image] = {}
         self._balls: dict[str, tuple[float, Sequence[Detection]]] = {}
         self._shown: dict[tuple[str, int], tuple[Image, bytes, PictureFacts]] = {}
+        self._held: dict[str, tuple[float, Image]] = {}
 
     def add(self, image: Image) -> None:
         """Take a picture; it is decoded only if it is looked at."""
@@ -126,19 +131,29 @@ class Preview:
         for name, pixels in self.pixels(cameras).items():
             write_named(folder, name, pixels)
 
-    def note_balls(self, camera: str, found: Iterable[Detection]) -> None:
-        """Hear where balls are; they are drawn into the camera's pictures for a while."""
-        self._balls[camera] = time.monotonic(), tuple(found)
+    def hold(self, image: Image) -> None:
+        """Show this picture for a moment, in which something was found."""
+        self._held[image.camera] = time.monotonic(), image
 
-    def note_measured(self, measured: Measurement) -> None:
-        """Hear where balls are from a live measurement."""
-        for name in measured.frames:
+    def held(self, camera: str) -> Image | None:
+        """The picture that is held at the moment; None without one."""
+        since, image = self._held.get(camera, (-math.inf, None))
+        return image if time.monotonic() - since < _HELD_S else None
+
+    def note_balls(self, image: Image, found: Iterable[Detection]) -> None:
+        """Hear where balls are in a picture, which is shown with them."""
+        self._balls[image.camera] = time.monotonic(), tuple(found)
+        self.hold(image)
+
+    def note_measured(self, measured: Measurement, images: Mapping[str, Image]) -> None:
+        """Hear where balls are from a live measurement of these pictures."""
+        for name, image in images.items():
             seen = [view.detection for view in measured.views if view.camera == name]
-            self.note_balls(name, [one for one in seen if one is not None])
+            self.note_balls(image, [one for one in seen if one is not None])
 
     def forget_balls(self) -> None:
         """Other balls are looked for from now on."""
-        self._balls = {}
+        self._balls, self._held = {}, {}
 
     def has_looked(self, camera: str) -> bool:
         """Whether balls were looked for in a camera's pictures."""
@@ -151,8 +166,11 @@ class Preview:
         return () if late else tuple(sorted({one.ball for one in found}))
 
     def shown(self, camera: str, width_px: int) -> tuple[bytes, PictureFacts] | None:
-        """The newest picture as a JPEG to look at, overexposed parts in magenta, balls outlined."""
-        image = self.newest(camera)
+        """A picture as a JPEG to look at, overexposed parts in magenta, balls outlined and named.
+
+        The newest one, or for a moment the newest in which something was found.
+        """
+        image = self.held(camera) or self.newest(camera)
         if image is None:
             return None
         key = camera, width_px
@@ -176,12 +194,23 @@ class Preview:
         small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
         spoiled = cv2.resize(clipped(pixels), size, interpolation=cv2.INTER_NEAREST)
         small[spoiled > 0] = _MARK_BGR
-        if self.balls(camera):
+        if self.held(camera) is not None:
             for one in self._balls.get(camera, (0.0, ()))[1]:
-                u, v = np.rint(scale * one.center_px).astype(int).tolist()
-                radius = max(2, round(scale * one.radius_px))
-                cv2.circle(small, (u, v), radius, _BALL_BGR, 2, cv2.LINE_AA)
+                _outline(small, one.ball, scale * one.center_px, scale * one.radius_px)
         return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
+
+
+def _outline(picture: Bytes, name: str, center_px: Floats, radius_px: float) -> None:
+    """Draw a ball's outline, and its name beside it, to the right where there is room."""
+    (u, v), radius = np.rint(center_px).astype(int).tolist(), max(2, round(radius_px))
+    cv2.circle(picture, (u, v), radius, _BALL_BGR, 2, cv2.LINE_AA)
+    font, size, weight = cv2.FontFace("sans"), _NAME_PX, 600
+    _, _, wide, _ = cv2.getTextSize(picture.shape[1::-1], name, (0, 0), font, size, weight)
+    right = u + radius + 4 + wide <= picture.shape[1]
+    x, y = u + radius + 4 if right else u - radius - 4 - wide, v + size // 3
+    for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        cv2.putText(picture, name, (x + dx, y + dy), (0, 0, 0), font, size, weight)
+    cv2.putText(picture, name, (x, y), _BALL_BGR, font, size, weight)
 
 
 class WatchedCamera:
@@ -254,7 +283,7 @@ class BallWatch:
                     (detector,) = self._build([camera]).values()
                     found = plugin_calls.detections(detector, image, [], self._body)
                     best = {one.ball: one for one in sorted(found, key=lambda one: one.score)}
-                    self._preview.note_balls(name, best.values())
+                    self._preview.note_balls(image, best.values())
                 # A first search that compiled for minutes is no reason to rest as long.
                 took_s = min(time.monotonic() - begun, _AGAIN_S)
                 if self._stop.wait(took_s * (1 / _SEARCH_SHARE - 1)):

@@ -314,7 +314,7 @@ def _unconnected(names: Sequence[str], pairs: Mapping[tuple[str, str], int]) -> 
         bridges = [pair for pair in pairs if len(reached & {*pair}) == 1]
         best = max(bridges, key=lambda pair: pairs[pair])
         if pairs[best] < _COMMON:
-            out.append(f"{' and '.join(best)}: show it to both")
+            out.append(f"{' and '.join(best)}: show it to both at once")
         reached |= {*best}
         waiting -= reached
     return out

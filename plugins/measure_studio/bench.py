@@ -136,7 +136,9 @@ class Bench:
 
     def problem(self, name: str) -> str:
         """Why a camera delivers nothing now; empty if it does."""
-        return self.now[name].problem if name in self.now else "not read"
+        if name not in self.now:
+            return "not read"
+        return self.now[name].problem.removeprefix(f"camera '{name}': ")
 
     @property
     def names(self) -> list[str]:
@@ -163,9 +165,13 @@ class Bench:
         """How the cameras are, in a line."""
         if not self.cameras:
             return "no camera yet"
-        problems = [text for one in self.cameras if (text := self.problem(one.name))]
+        problems = {name: text for name in self.names if (text := self.problem(name))}
+        if len(problems) > 2:  # more sentences than a line holds
+            return f"{len(problems)} of {len(self.cameras)} cameras deliver nothing"
         if problems:
-            return "; ".join(problems)
+            return "; ".join(
+                text if name in text else f"{name}: {text}" for name, text in problems.items()
+            )
         count = len(self.cameras)
         return f"{count} cameras deliver" if count > 1 else "one camera delivers"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -64,7 +64,7 @@ class _Wave:
                     body=body,
                     goal_mm=self.goal_mm,
                     on_state=lambda state: setattr(self, "state", state),
-                    on_corners=lambda seen: setattr(self, "corners", seen),
+                    on_corners=self._see,
                 )
             finally:
                 self.is_waved = False
@@ -88,6 +88,12 @@ class _Wave:
             raise ConfigError("there are no pictures of a board yet: wave it first")
         self.bench.calibrate(capture, self._hear, body)
 
+    def _see(self, images: Sequence[api.Image], corners: Mapping[str, overlays.Floats]) -> None:
+        self.corners = corners
+        for image in images:
+            if image.camera in corners:
+                self.bench.preview.hold(image)
+
     def _hear(self, result: api.CalibrationResult, report: Path) -> None:
         self.result, self.report = result, report
 
@@ -110,9 +116,9 @@ class _Wave:
         if self.state is None:
             return "show the board to the cameras"
         if self.is_accurate and self.state.advice:
-            lacks = ", ".join(one.replace(": ", " ") for one in self.state.advice[:_ADVISED])
+            lacks = "; ".join(self.state.advice[:_ADVISED])
             is_part = any(row in lacks for row in _ROWS)
-            return f"Accurate enough; still {'empty' if is_part else 'to do'}: {lacks}"
+            return f"Accurate enough. Still {'empty' if is_part else 'to do'}: {lacks}"
         return "\n".join(self.state.advice[:_ADVISED])
 
     def reached(self) -> str:
@@ -137,7 +143,7 @@ class _Wave:
         if seen is None or facts is None:
             return ""
         parts = [overlays.cells(facts.size_wh, seen.cells)]
-        if name in self.corners:
+        if name in self.corners and self.bench.preview.held(name) is not None:
             parts.append(overlays.corners(self.corners[name]))
         return overlays.over(facts.size_wh, *parts)
 

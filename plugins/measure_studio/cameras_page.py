@@ -28,6 +28,7 @@ from measure_studio.layout import (
     tried,
     typed,
 )
+from measure_studio.words import plain
 
 _SHARP, _BLURRED, _CLIPPED, _DARK = 0.2, 0.12, 0.01, 0.2
 """Sharp from the first on; below, above and below the others blurred, overexposed and dark."""
@@ -69,7 +70,8 @@ def _added(bench: Bench, word: str) -> list[api.CameraAddress]:
     answers = api.cameras([one.below(bench.folder).address for one in fresh])
     for one, answer in zip(fresh, answers, strict=True):
         if answer.problem:
-            raise ConfigError(f"{one.name} was not added: {answer.problem}")
+            problem = plain(answer.problem, bench.folder)
+            raise ConfigError(f"{one.name} was not added: {problem}")
     return cameras
 
 

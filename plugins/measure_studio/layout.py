@@ -20,6 +20,8 @@ from measure_studio.words import plain
 _T = TypeVar("_T")
 Drawn = Callable[[], str]
 """Gives what is drawn into a picture: SVG in the picture's px, empty for nothing."""
+HELP = "/help"
+"""Where words and findings of all steps are explained."""
 WIDTH_PX = 720
 """Of pictures as they are sent: two stand beside each other in a window of 1440 px."""
 _HEAD = """<link rel="stylesheet" href="/studio/studio.css">
@@ -30,13 +32,13 @@ _HEAD = """<link rel="stylesheet" href="/studio/studio.css">
 def page(bench: Bench, path: str) -> Iterator[None]:
     """The frame round a page: the steps at its head, what is being done at its foot."""
     here = step_of(path)
-    ui.add_head_html(_HEAD)
-    ui.page_title(f"{STEPS[here].name if path == STEPS[here].path else 'Marks'} · triball studio")
-    ui.colors(primary="#1f5f99")
+    dressed(STEPS[here].name if path == STEPS[here].path else "Marks")
     with ui.header().classes("head"):
         ui.label("triball").classes("product")
         with ui.element("nav").classes("way").props('aria-label="steps"'):
             links = [_step_link(number, here) for number in range(len(STEPS))]
+        help_link = ui.link("Help", f"{HELP}#{STEPS[here].name.lower()}", new_tab=True)
+        help_link.classes("help").props("data-help")
     with ui.column().classes("page") as body:
         yield
     with ui.footer().classes("foot"):
@@ -52,6 +54,13 @@ def page(bench: Bench, path: str) -> Iterator[None]:
             put(body, "is-done", done[here] and not bench.busy)
 
     kept_so(1.0, tick)
+
+
+def dressed(title: str) -> None:
+    """Title, style and colours of a page."""
+    ui.add_head_html(_HEAD)
+    ui.page_title(f"{title} · triball studio")
+    ui.colors(primary="#1f5f99")
 
 
 def _step_link(number: int, here: int) -> ui.link:

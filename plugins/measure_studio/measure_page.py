@@ -62,6 +62,7 @@ class _Live:
     state: api.LiveState | None = None
     goes_on: bool = False
     heard_s: float = 0.0
+    heard_at: datetime = datetime.min
     rests: dict[str, lab.RestsSoFar] = field(default_factory=dict)
 
     def record(self, calibrations: list[Path], bodies: list[Path]) -> None:
@@ -122,13 +123,13 @@ class _Live:
         return self.bench.folder / api.next_free(self.bench.folder, stem)
 
     def _hear(self, state: api.LiveState) -> None:
-        self.state, self.heard_s = state, time.time()
+        self.state, self.heard_s, self.heard_at = state, time.monotonic(), datetime.now()
         if self.bench.job is not None:
             self.bench.job.lasts(self.seconds)
         self.bench.note_counts(state.cameras)
         for rests, measured in zip(self.rests.values(), state.latest, strict=True):
             rests.add(measured)
-            self.bench.preview.note_measured(measured)
+            self.bench.preview.note_measured(measured, state.images)
 
     @property
     def truth(self) -> Path | None:
@@ -138,10 +139,10 @@ class _Live:
 
     def age(self) -> str:
         """Why what is shown is old; empty while poses come."""
-        if self.state is None or (self.goes_on and time.time() - self.heard_s < _OLD_S):
+        if self.state is None or (self.goes_on and time.monotonic() - self.heard_s < _OLD_S):
             return ""
-        at = f"{datetime.fromtimestamp(self.heard_s):%H:%M:%S}"
-        return f"old: of {at}, {'no pose has come since' if self.goes_on else 'when it ended'}"
+        at = f"{self.heard_at:%H:%M:%S}"
+        return f"{'no pose has come since' if self.goes_on else 'it ended at'} {at}"
 
     def mark(self, what: str) -> str:
         """Mark an event in the run that goes on."""
@@ -192,7 +193,7 @@ def add(bench: Bench) -> None:
 def _settings(bench: Bench, live: _Live) -> None:
     there = api.contents_of(bench.folder)
     with ui.row().classes("line"):
-        act("Measure", "straighten", lambda: live.measure(*given()), primary=True)
+        begin = act("Measure", "straighten", lambda: live.measure(*given()), primary=True)
         act("Record", "fiber_manual_record", lambda: live.record(*given()))
         calibration = choice("Calibration", bench, there.calibrations)
         bodies = choice("Bodies", bench, there.bodies, several=True)
@@ -209,7 +210,12 @@ def _settings(bench: Bench, live: _Live) -> None:
     with ui.row().classes("line") as marking:
         act("Mark (M)", "flag", lambda: live.mark(what.value))
         what = ui.input("Event", value="event")
-    ui.timer(0.5, lambda: marking.set_visibility(live.goes_on))
+
+    def show() -> None:
+        marking.set_visibility(live.goes_on)
+        put(begin, "primary", live.report is None and not bench.busy)  # Else the report is
+
+    ui.timer(0.5, show)
 
     async def strike(pressed: events.KeyEventArguments) -> None:
         if not pressed.action.keydown or pressed.action.repeat or pressed.key != "m":
@@ -257,6 +263,8 @@ def _figures(live: _Live) -> None:
 def _pose(name: str, measured: api.Measurement, age: str) -> str:
     """A body's state and pose as HTML: a pose that is not believed is grey, its ± struck out."""
     word, kind = _WORDS.get(measured.status.value, ("LOST", "wrong"))
+    if age:
+        word, age = "OLD", f"was {word}; {age}"
     reason = escape(plain(measured.reason))
     figures = f'<div class="lines">{reason}</div>' if reason else ""
     if (pose := measured.pose) is not None:

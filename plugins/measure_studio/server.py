@@ -26,6 +26,7 @@ from measure_studio import (
     body_page,
     calibration_page,
     cameras_page,
+    help_page,
     marks_page,
     measure_page,
     world_page,
@@ -113,6 +114,7 @@ def _application(bench: Bench) -> FastAPI:
     pages.add_static_files("/studio", str(static))
     for page in (cameras_page, calibration_page, world_page, marks_page, body_page, measure_page):
         page.add(bench)
+    help_page.add()
     ui.run_with(
         application,
         title="triball studio",

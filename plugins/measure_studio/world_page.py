@@ -95,6 +95,8 @@ class _World:
             return "There is no calibration yet: step 2 makes the one that is moved here."
         if self.place is not None:
             return "The board is seen: the thin axes show where the world will be."
+        if STEPS[step_of("/world")].is_done(self.bench):
+            return "The axes show where the world is. Lay the board elsewhere to move it."
         return f"The board is not seen yet: {self.unseen}" if self.unseen else "looking ..."
 
     def drawn_over(self, name: str) -> str:

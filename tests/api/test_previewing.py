@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import os
 import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from measure import api
+from measure.api import previewing
 from measure.api.previewing import PictureFacts, Preview, WatchedCamera
 from measure.errors import ConfigError, RunError
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement
 from measure.measuring.measurement import Status
-from measure.model import Image, Pose
+from measure.model import Detection, Image, Pose
 from measure_lab import api as lab
 from tests.camera_server import ServedCamera, serving
 
@@ -57,6 +59,30 @@ def test_a_shown_picture_marks_what_is_overexposed():
     assert np.abs(shown[120, 160].astype(int) - [255, 0, 255]).max() < 20
     assert np.abs(shown[20, 20].astype(int) - 60).max() < 20
     assert preview.facts("cam0") == facts
+
+
+def test_balls_are_drawn_into_the_picture_in_which_they_were_found(monkeypatch):
+    """With their names; a newer picture comes once nothing was found for a moment."""
+    found, newer = (np.full((480, 640, 3), level, np.uint8) for level in (60, 120))
+    preview, clock = Preview(), SimpleNamespace(monotonic=lambda: 5.0)
+    monkeypatch.setattr(previewing, "time", clock)
+    image = Image("cam0", 0, 0.0, lambda: found)
+    ball = Detection("Mötör", "cam0", 0.0, np.array([600.0, 200.0]), 30.0, np.eye(2), 1.0)
+    preview.note_balls(image, [ball])
+    preview.add(Image("cam0", 1, 0.1, lambda: newer))
+
+    def shown():
+        data = np.frombuffer(preview.shown("cam0", 640)[0], np.uint8)
+        return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+
+    assert shown()[40, 40] == pytest.approx(60, abs=3)
+    assert shown()[200, 570] > 200  # the outline
+    assert shown()[190:210, 480:566].max() > 200  # the name, left of it: there is no room right
+    assert preview.balls("cam0") == ("Mötör",)
+    clock.monotonic = lambda: 7.0
+    assert np.ptp(shown()) < 6
+    assert shown()[40, 40] == pytest.approx(120, abs=3)
+    assert preview.balls("cam0") == ("Mötör",)
 
 
 def test_a_camera_that_is_not_there_holds_up_no_other():

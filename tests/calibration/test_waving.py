@@ -64,7 +64,7 @@ def test_it_stops_asking_when_it_is_good_enough(rng):
     assert state.enough
     assert state.position_sd_mm <= 1.0
     told = {words.split(": ")[1] for words in asked}
-    assert "show it to both" in told
+    assert "show it to both at once" in told
     assert any("left" in words or "right" in words for words in told)
     assert len(wave.kept) < 60
     assert all(one.views >= 8 and one.tilts >= 4 for one in state.cameras.values())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -58,6 +59,11 @@ def go_on(page: Chromium, name: str) -> None:
     page.wait_for(f"{here} && !!window.did_handshake", 60)
 
 
+ONE_PRIMARY = """[...document.querySelectorAll('.act')].filter(one => one.offsetParent
+    && getComputedStyle(one).backgroundColor != 'rgba(0, 0, 0, 0)').length == 1"""
+"""JavaScript: one button stands out on this page."""
+
+
 def is_done(name: str) -> str:
     """JavaScript: whether the step of this name bears a tick."""
     return f"!!document.querySelector('.way a.done[data-step={name}]')"
@@ -80,13 +86,19 @@ def choose(page: Chromium, label: str, text: str) -> None:
     closed = "!document.querySelector('.q-menu')"
     click = f"{field}.querySelector('.q-field__control').click()"
 
+    patience_s = _SLOW_S / 2
+
     def is_there() -> bool:
         """A page that has much to do may miss a click; one that is slow is not clicked shut."""
+        nonlocal patience_s
         if page.evaluate(f"!!{option}"):
             return True
         page.evaluate(f"{closed} && {click}")
-        page.idle(_SLOW_S)
-        return bool(page.evaluate(f"!!{option}"))
+        patience_s *= 2
+        until_s = time.monotonic() + patience_s
+        while not (there := page.evaluate(f"!!{option}")) and time.monotonic() < until_s:
+            page.idle(0.2)
+        return bool(there)
 
     page.wait_until(is_there, f"{text} can be chosen", 60)
     page.evaluate(f"{option}.click()")

@@ -24,7 +24,19 @@ from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium, find_chromium
 from tests.studio import waved
-from tests.studio.desk import FOOT, choose, count, fill, go, go_on, is_done, press, strike, studio
+from tests.studio.desk import (
+    FOOT,
+    ONE_PRIMARY,
+    choose,
+    count,
+    fill,
+    go,
+    go_on,
+    is_done,
+    press,
+    strike,
+    studio,
+)
 
 pytestmark = [
     pytest.mark.browser,
@@ -109,6 +121,7 @@ def test_from_an_empty_folder_to_believed_poses(kind, tmp_path, rng):
     with serving(served) as addresses, studio(desk) as address, Chromium(1440, 900) as page:
         waits = Waits()
         go(page, address)
+        page.wait_for(ONE_PRIMARY, 20)
         add_cameras(page, addresses)
         go_on(page, "Calibration")
         wave_the_board(page, kind, waits)
@@ -171,6 +184,7 @@ def wave_the_board(page, kind, waits):
     waits.note(page, "waving", f"{FOOT}.includes('calibrating') || {JUDGEMENT}", 240)
     waits.note(page, "calibrating", f"/The cameras are calibrated/.test({JUDGEMENT})", 120)
     page.wait_for(is_done("Calibration"), 20)
+    page.wait_for(ONE_PRIMARY, 20)
 
 
 def put_the_world_at_the_board(page, waits):
@@ -189,6 +203,7 @@ def make_the_body(page, waits):
     waits.note(page, "body", f"/body-1.*3 balls/.test({FOOT})", 240)
     page.wait_for(f"/green - red/.test({FIGURES})", 20)
     page.wait_for(is_done("Body"), 20)
+    page.wait_for(ONE_PRIMARY, 20)
 
 
 def measure(page, waits):
@@ -206,6 +221,9 @@ def mark_an_event(page):
     page.wait_for(f"/run-1: .* believed/.test({FOOT})", 90)
     page.wait_for("!!document.querySelector('a[href$=\"run-1/report.html\"]')", 20)
     page.wait_for(is_done("Measure"), 20)
+    page.wait_for(ONE_PRIMARY, 20)
+    page.wait_for("/OLD/.test(document.querySelector('[data-pose]').innerText)", 20)
+    assert page.evaluate("document.querySelector('[data-help]').hash") == "#measure"
 
 
 def check_steps(page, kind, waits):

@@ -14,7 +14,7 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, propagate, skew
 from measure.reading import FileModel
-from measure.session.files import dump_toml, load_toml
+from measure.session import StatedTransform, dump_toml, load_toml
 from measure_learning.core.assemble import PoseTrack
 
 
