@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
 
+from measure.api.checking_channels import channel_causes
 from measure.api.checking_files import check_files, clocks_apart, file_findings
 from measure.api.measuring import measure_session, search_frame_sets
 from measure.api.profiles import build_detectors, load_profile
@@ -17,53 +19,49 @@ from measure.api.synchronising import find_offsets, shift_clocks
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
 from measure.checking import (
-    CameraMisfit,
     ColorlessCount,
+    CombCount,
     Coverage,
     DuplicateCount,
     Finding,
     Level,
     OverexposedCount,
     SearchSample,
-    camera_misfits,
     coverage_findings,
     duplicate_findings,
     expected_accuracy,
-    misfit_findings,
     search_sample,
-    with_velocities,
     worst_first,
 )
-from measure.checking.arrangement import arrangement_findings
-from measure.checking.body import (
-    BodyCheck,
-    LocatedBalls,
-    body_finding,
-    check_body,
-    locate_balls,
-    size_findings,
-    twin_findings,
-)
-from measure.checking.camera_errors import CameraError
+from measure.checking.arrangement import arrangement_causes
+from measure.checking.body import BodyCheck, check_body, locate_balls, size_causes, twin_findings
+from measure.checking.causes import ALL, Cause, Word
 from measure.checking.clocks import CameraClock
-from measure.checking.motion import MotionCheck, check_motion, motion_findings, scale_findings
+from measure.checking.coverage import disagreeing_causes
+from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose
+from measure.checking.evidence import evidence_of
+from measure.checking.motion import MotionCheck, check_motion, flag_findings
+from measure.checking.pictures import gaps_alone
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
+from measure.model import Detection
 from measure.processes import Progress, quiet
-from measure.session import Session, holds_jpeg, open_session, session_lacks
+from measure.session import Session, holds_jpeg, open_session, read_calibration, session_lacks
 
 _REACH_MM = 40.0
 _LEAST_NOISE_PX = 0.1
 _LARGEST_OFFSET_S = 2.0
 _LOOKED_AT_S = 6.0  # How much of each camera is searched for clocks' offsets
-_UNCERTAIN_CLOCK_S, _MANY = 0.02, 0.3
-"""And share of flagged poses, beyond which cameras may contradict each other."""
-_NEAR_S = 0.04  # A clock that is right by the cameras' own motion is right by the poses within this
 _BY_MOTION_S = 0.06  # Smaller offsets are left to the poses, which tell them from a turned camera
-_FEW, _FAR_S = 0.1, 0.01
+_FAR_S = 0.01
 """A clock this far off is set right before it is estimated at last: images are paired anew."""
+
+
+_WELL_EXPLAINED = 0.4
+"""Mean square of residuals of balls that were followed, below which their causes need no second
+look: 0.1 to 0.25 where nothing else is off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +73,10 @@ class SessionCheck:
     looked_at: int  # how many of them were searched
     findings: tuple[Finding, ...]
     coverage: tuple[Coverage, ...] = ()
-    misfits: tuple[CameraMisfit, ...] = ()  # cameras that do not stand where the calibration says
+    causes: tuple[Cause, ...] = ()  # what may be wrong with the rig, the likeliest first
     # the balls' distances and radii against the body file.
     body: BodyCheck = field(default_factory=BodyCheck)
     clocks: tuple[CameraClock, ...] = ()  # of all cameras; empty if the motion was not measured
-    camera_errors: tuple[CameraError, ...] = ()  # whose clock, direction or focal length is off
     scale: float = math.nan  # times as far apart as in the body file the balls are, if known
     scale_sd: float = math.nan
     # (27, 5) expected standard deviations round the place where the body was (see
@@ -131,37 +128,51 @@ def _concluded(session: Session, look: _Look, findings: list[Finding]) -> Sessio
         others = ", ".join(body.name for body in session.other_bodies)
         alone = f"checked with '{session.body.name}' alone; with --body FILE also {others}"
         findings.append(Finding(Level.NOTE, "body", alone))
-    motion, searched, misfits = look.motion, look.searched, look.misfits
-    if look.arrangement:
-        findings += look.arrangement
-        return SessionCheck(session.name, look.frame_sets, len(searched), worst_first(findings))
-    misplaced = misfit_findings(misfits, look.tried_s)
-    by_motion = motion_findings(motion, {misfit.camera for misfit in misfits}, look.instead)
-    shape = check_body(look.located, session.body)
-    cameras_agree = all(f.topic != "calibration" for f in (*misplaced, *by_motion))
-    findings += (
-        [body_finding(text, Level.WRONG, cameras_agree) for text in shape.findings]
-        or scale_findings(motion, cameras_agree)
-        # Balls that are larger or smaller than in the file, if cameras can tell.
-        or (size_findings(session.body, motion.sizes) if motion.sizes and cameras_agree else [])
-    )
-    findings += twin_findings(session.body)
-    coverage, weak = coverage_findings(searched, session.body, session.cameras, misfits)
-    findings += weak + misplaced + by_motion
+    motion, searched, causes = look.motion, look.searched, look.causes
+    if causes and causes[0].cause in _FIRST_OF_ALL:
+        findings = [*(cause.finding for cause in causes), *findings]
+        return SessionCheck(
+            session.name, look.frame_sets, len(searched), worst_first(findings), causes=causes
+        )
+    coverage, weak = coverage_findings(searched, session.body, session.cameras)
+    findings = [*(cause.finding for cause in causes), *findings]
+    findings += [*twin_findings(session.body), *weak, *flag_findings(motion)]
     return SessionCheck(
         session.name,
         look.frame_sets,
         len(searched),
         worst_first(findings),
         coverage,
-        misfits,
-        shape,
+        causes,
+        look.shape,
         motion.clocks,
-        motion.errors,
         motion.scale,
         motion.scale_sd,
         _accuracy(session, searched),
     )
+
+
+def _together(
+    pictures: Sequence[Cause],
+    diagnosis: Diagnosis,
+    shape: Sequence[Cause],
+    searched: Sequence[SearchSample],
+    sized: Sequence[Cause],
+) -> list[Cause]:
+    """Causes from all sources, the most certain first; what another explains is left out."""
+    known = [c for c in diagnosis.causes if c.cause is not Word.UNKNOWN and c.explains > _MOST]
+    elsewhere = [c for c in disagreeing_causes(searched) if c.of not in {k.of for k in known}]
+    rest = [*elsewhere, *diagnosis.causes]
+    if not known:
+        rest = elsewhere or list(shape) or list(diagnosis.causes) or list(sized)
+    # What pictures that are not what they seem show of clocks and places is no cause.
+    said = {name for cause in pictures for name in cause.of.split(", ")}
+    return [*pictures, *(c for c in rest if ALL not in said and c.of not in said)]
+
+
+_MOST = 0.5  # Share of what is seen that a cause explains, from which it needs no second opinion
+_FIRST_OF_ALL = (Word.EXCHANGED_CAMERAS, Word.MIRRORED, Word.EXCHANGED_CHANNELS)
+"""Pictures that are not what their camera sees: nothing else is judged before."""
 
 
 def _accuracy(session: Session, searched: Sequence[SearchSample]) -> Floats | None:
@@ -183,41 +194,36 @@ class _Look:
 
     frame_sets: int
     searched: Sequence[SearchSample]
-    located: Sequence[LocatedBalls]
+    shape: BodyCheck  # the balls located against the body file
     motion: MotionCheck  # of frame sets measured in a row; empty if they were not
     pictures: Sequence[Finding]
-    arrangement: Sequence[Finding]  # pictures that are not what their camera sees
-    misfits: tuple[CameraMisfit, ...]  # cameras that do not stand where the calibration says
-    # by camera, what was added to its stamps before; `motion.clocks` include it.
+    causes: tuple[Cause, ...]
+    diagnosis: Diagnosis
+    # by camera, what was added to its stamps before.
     ahead_s: Mapping[str, float] = field(default_factory=dict)
-    # clocks that did not make the cameras agree.
-    tried_s: Mapping[str, float] = field(default_factory=dict)
-    # misfits that there were no more when clocks were set right.
-    instead: tuple[CameraMisfit, ...] = ()
 
     @property
     def doubtful(self) -> bool:
-        """Whether cameras disagree by so much that a clock may be far off."""
-        found = sum(sample.world_from_body is not None for sample in self.searched)
-        known = [clock.offset_sd_s < _UNCERTAIN_CLOCK_S for clock in self.motion.clocks]
-        return not self.arrangement and (
-            bool(self.misfits)
-            or 0 < found < len(self.searched) / 2
-            or self._flagged_share > _MANY
-            or 0 < sum(known) < len(known)
-        )
-
-    def agrees_better(self, before: _Look) -> bool:
-        """Whether no more cameras misfit than before, and few poses, or half as many, are flagged.
-
-        A clock takes some of the misfit of a camera that is turned: that alone is no reason.
-        """
-        fewer = self._flagged_share <= max(_FEW, 0.5 * before._flagged_share)
-        return fewer and len(self.misfits) <= len(before.misfits)
+        """Whether a clock may be so far off that poses cannot tell."""
+        told = bool(self.causes) and self.causes[0].cause in (*_FIRST_OF_ALL, Word.SAME_PICTURES)
+        return not told and (0 < self.posed < len(self.searched) / 2 or self.diagnosis.unexplained)
 
     @property
-    def _flagged_share(self) -> float:
-        return sum(n for _, n in self.motion.flags) / max(self.motion.measured, 1)
+    def late_s(self) -> dict[str, float]:
+        """What the cameras' motion says is to be added to their stamps, where it is much."""
+        clocks = [cause for cause in self.causes if cause.cause is Word.CLOCK]
+        found = {cause.of: 1e-3 * (cause.estimate or 0.0) for cause in clocks}
+        return {name: off_s for name, off_s in found.items() if abs(off_s) > _FAR_S}
+
+    def agrees_better(self, before: _Look) -> bool:
+        """Whether cameras agree as they are now at least as with all causes of before allowed."""
+        left = max(2.0 * before.diagnosis.left, 0.5 * before.diagnosis.misfit)
+        return self.posed >= before.posed and self.diagnosis.misfit <= left
+
+    @property
+    def posed(self) -> int:
+        """In how many frame sets looked at the body was found."""
+        return sum(sample.world_from_body is not None for sample in self.searched)
 
 
 @dataclass(eq=False)
@@ -251,12 +257,9 @@ class _Looking:
             again = self._look_again(late, look)
             if apart and again is None:
                 raise apart
-            look = again or replace(look, tried_s=late) if look else again
+            look = again or look
         assert look is not None
-        clocks = [c for c in look.motion.clocks if c.offset_visible]
-        rest = {c.camera: c.offset_s - look.ahead_s.get(c.camera, 0.0) for c in clocks}
-        far = {n: s for n, s in rest.items() if abs(s) > _FAR_S and n in look.motion.late}
-        return self._look_again(far, look) or look
+        return self._look_again(look.late_s, look) or look
 
     def _look_again(self, late_s: Mapping[str, float], before: _Look | None) -> _Look | None:
         """A look with clocks set right; None, and undone, if cameras do not agree better then."""
@@ -265,18 +268,14 @@ class _Looking:
         shift_clocks(self.session, late_s)
         self._begin()
         look = self.look()
-        clocks = {c.camera: c for c in look.motion.clocks if c.offset_sd_s < np.inf}
-        near = {name for name, clock in clocks.items() if abs(clock.offset_s) < _NEAR_S}
-        off, earlier = {m.camera for m in look.misfits}, before.ahead_s if before else {}
-        if late_s.keys() <= near - off and (not before or look.agrees_better(before)):
+        if not look.late_s.keys() & late_s.keys() and (not before or look.agrees_better(before)):
+            earlier = before.ahead_s if before else {}
             ahead_s = {n: earlier.get(n, 0.0) + late_s.get(n, 0.0) for n in {*earlier, *late_s}}
-            instead = (*before.misfits, *before.instead) if before else ()
-            return replace(
-                look,
-                motion=look.motion.with_clocks_ahead(ahead_s),
-                ahead_s=ahead_s,
-                instead=tuple(m for m in instead if m.camera in ahead_s),
-            )
+            clocks = {clock.camera: clock for clock in look.motion.clocks}
+            late = [clock_cause(name, off_s, clocks.get(name)) for name, off_s in ahead_s.items()]
+            rest = [cause for cause in look.causes if cause.cause is not Word.CLOCK]
+            motion = look.motion.with_clocks_ahead(ahead_s)
+            return replace(look, motion=motion, ahead_s=ahead_s, causes=(*late, *rest))
         shift_clocks(self.session, {name: -late for name, late in late_s.items()})
         return None
 
@@ -285,26 +284,71 @@ class _Looking:
         session = self.session
         searched, located, every = [], [], []
         duplicates, colorless, overexposed = DuplicateCount(), ColorlessCount(), OverexposedCount()
+        combs = CombCount()
         detectors = build_detectors(self.profile, self.registry, session.body, session.cameras)
         for frame_set, (seen,) in search_frame_sets(session, [detectors], self._chosen):
             searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
             duplicates.add(frame_set)
             colorless.add(frame_set)
             overexposed.add(frame_set, searched[-1].agreeing)
+            combs.add(frame_set, searched[-1].agreeing)
             located.append(locate_balls(seen, session.body, session.cameras))
             every.append(seen)
             self.step()
-        arrangement = arrangement_findings(every, searched, session.body, session.cameras)
-        motion = MotionCheck() if arrangement else self._motion(searched, duplicates)
-        # A late camera sees a moving body elsewhere than the others do: it does not stand there.
-        misfits = tuple(
-            misfit
-            for misfit in camera_misfits(with_velocities(searched), session.body, session.cameras)
-            if misfit.since_s is not None or misfit.camera not in motion.late
-        )
-        pictures = [*self._stalls(duplicates), *duplicates.findings()]
+        shape = check_body(located, session.body)
+        causes = [
+            *duplicates.causes(),
+            *arrangement_causes(every, searched, session.body, session.cameras),
+            *combs.causes(),
+        ]
+        causes += channel_causes(session, detectors, searched, self._chosen) * (not causes)
+        motion, diagnosis = MotionCheck(), Diagnosis()
+        if not any(cause.cause in _FIRST_OF_ALL for cause in causes):
+            measured = self._measured(searched, duplicates)
+            motion = check_motion(measured, session.body, session.cameras)
+            diagnosis = self._diagnosed(searched, every, measured, shape)
+            sized = size_causes(session.body, motion.sizes) if motion.sizes else []
+            causes = _together(causes, diagnosis, [*shape.causes], searched, sized)
+        pictures = [*self._stalls(duplicates)]
         pictures += colorless.findings() + overexposed.findings()
-        return _Look(self._total, searched, located, motion, pictures, arrangement, misfits)
+        return _Look(self._total, searched, shape, motion, pictures, tuple(causes), diagnosis)
+
+    def _diagnosed(
+        self,
+        searched: Sequence[SearchSample],
+        found: Sequence[Mapping[str, Sequence[Detection]]],
+        measured: Sequence[Measurement],
+        shape: BodyCheck,
+    ) -> Diagnosis:
+        body, cameras = self.session.body, self.session.cameras
+        found_in = sum(sample.world_from_body is not None for sample in searched)
+        if shape.factor is not None and found_in < len(searched) / 2:
+            # As large as it looks the body is found, though the file or the calibration errs.
+            sizes = shape.factor * body.radii
+            grown = body.with_centers(shape.factor * body.centers)
+            grown = grown.with_radii(sizes, body.radius_covariance)
+            searched = [
+                search_sample(one, grown, cameras, sample.time_s)
+                for one, sample in zip(found, searched, strict=True)
+            ]
+            measured = ()
+        gaps_s = gaps_alone({name: s.times_s for name, s in self.session.streams.items()})
+
+        def diagnosed(measured: Sequence[Measurement]) -> Diagnosis:
+            evidence = evidence_of(searched, found, measured, body, cameras, gaps_s)
+            return diagnose(evidence, self._squares)
+
+        followed = diagnosed(measured)
+        if not measured or followed.left < _WELL_EXPLAINED:
+            return followed
+        # What is followed lies near where it was expected: whole pictures tell more.
+        whole = diagnosed(())
+        return whole if whole.causes else followed
+
+    @cached_property
+    def _squares(self) -> bool:
+        """Whether a board gave the calibration its scale."""
+        return "board" in str(read_calibration(self.session.calibration_path).provenance)
 
     def step(self) -> None:
         """Count what is done: a frame set, or one damaged picture looked for in all cameras."""
@@ -321,19 +365,21 @@ class _Looking:
         self._steps = len(self._chosen) + measured + max(jpeg, default=0)
         self._done = count(1)
 
-    def _motion(self, searched: Sequence[SearchSample], duplicates: DuplicateCount) -> MotionCheck:
-        """Measure frame sets in a row, if the body can be followed at all."""
+    def _measured(
+        self, searched: Sequence[SearchSample], duplicates: DuplicateCount
+    ) -> list[Measurement]:
+        """Frame sets measured in a row, if the body can be followed at all."""
         session = self.session
         found = sum(sample.world_from_body is not None for sample in searched)
-        if not self.clock_samples or found < len(searched) / 2:
-            return MotionCheck()
         measured = list[Measurement]()
+        if not self.clock_samples or found < len(searched) / 2:
+            return measured
         frame_sets = measure_session(session, self.profile, self.registry)
         for frame_set, measurement in islice(frame_sets, self.clock_samples):
             duplicates.add(frame_set)
             self.step()
             measured.append(measurement)
-        return check_motion(measured, session.body, session.cameras)
+        return measured
 
     def _stalls(self, passed: DuplicateCount) -> list[Finding]:
         """Pictures that come twice: in all files, or among those of a video that were decoded."""

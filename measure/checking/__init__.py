@@ -2,26 +2,20 @@
 
 from measure.checking.coverage import Coverage, coverage_findings, expected_accuracy
 from measure.checking.finding import Finding, Level, worst_first
-from measure.checking.moved_cameras import (
-    CameraMisfit,
-    SearchSample,
-    camera_misfits,
-    misfit_findings,
-    search_sample,
-    with_velocities,
-)
 from measure.checking.pictures import (
     ColorlessCount,
+    CombCount,
     DuplicateCount,
     OverexposedCount,
     damage_findings,
     duplicate_findings,
     stamp_findings,
 )
+from measure.checking.search import SearchSample, search_sample, with_velocities
 
 __all__ = [
-    "CameraMisfit", "ColorlessCount", "Coverage", "DuplicateCount", "Finding", "Level",
-    "OverexposedCount", "SearchSample", "camera_misfits", "coverage_findings", "damage_findings",
-    "duplicate_findings", "expected_accuracy", "misfit_findings", "search_sample", "stamp_findings",
+    "ColorlessCount", "CombCount", "Coverage", "DuplicateCount", "Finding", "Level",
+    "OverexposedCount", "SearchSample", "coverage_findings", "damage_findings",
+    "duplicate_findings", "expected_accuracy", "search_sample", "stamp_findings",
     "with_velocities", "worst_first",
 ]  # fmt: skip

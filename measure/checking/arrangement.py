@@ -12,8 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from measure.checking.finding import Finding, Level
-from measure.checking.moved_cameras import SearchSample, search_sample
+from measure.checking.causes import ALL, Cause, Word
+from measure.checking.finding import Level
+from measure.checking.search import SearchSample, search_sample
 from measure.model import Body, Camera, Detection
 
 _FEWEST, _TRIED = 3, 6  # Frame sets
@@ -32,14 +33,15 @@ class _Exchanged:
     """Pictures that are under the names of other cameras."""
 
     source: Mapping[str, str]  # by camera, the one whose pictures are under its name
+    word: ClassVar[Word] = Word.EXCHANGED_CAMERAS
     cure: ClassVar[str] = (
         "exchange them in session.toml, and where the cameras' addresses are given"
     )
 
     @property
-    def concerned(self) -> int:
-        """How many cameras."""
-        return len(self.source)
+    def names(self) -> tuple[str, ...]:
+        """The cameras concerned."""
+        return tuple(self.source)
 
     def undone(self, seen: Seen, cameras: Mapping[str, Camera]) -> Seen:
         """What would have been found without it."""
@@ -60,12 +62,8 @@ class _TurnedOver:
 
     names: tuple[str, ...]
     way: str  # of `_TURNS`
+    word: ClassVar[Word] = Word.MIRRORED
     cure: ClassVar[str] = "turn that off in the camera or its driver, and record again"
-
-    @property
-    def concerned(self) -> int:
-        """How many cameras."""
-        return len(self.names)
 
     def undone(self, seen: Seen, cameras: Mapping[str, Camera]) -> Seen:
         """What would have been found without it."""
@@ -92,10 +90,10 @@ class _TurnedOver:
         return f"the pictures of {', '.join(self.names)} are {self.way}"
 
 
-def arrangement_findings(
+def arrangement_causes(
     seen: Sequence[Seen], searched: Sequence[SearchSample], body: Body, cameras: Sequence[Camera]
-) -> list[Finding]:
-    """A line if cameras contradict each other, but agree once one such mistake is undone.
+) -> list[Cause]:
+    """The mistake without which all cameras agree, if they contradict each other as they are.
 
     Where several mistakes explain it, the one that concerns the fewest cameras is named; none, if
     two of those do. Frame sets in which no two cameras see two balls tell nothing.
@@ -115,16 +113,18 @@ def arrangement_findings(
         agreeing = _agreeing(search_sample(one, body, cameras, 0.0) for one in undone)
         if agreeing >= _BELIEVED * len(some):
             found.append((agreeing, mistake))
-    least = min((mistake.concerned for _, mistake in found), default=0)
-    fewest = [row for row in found if row[1].concerned == least]
+    least = min((len(mistake.names) for _, mistake in found), default=0)
+    fewest = [row for row in found if len(row[1].names) == least]
     if len(fewest) != 1:
         return []
     ((agreeing, mistake),) = fewest
     text = (
         f"{mistake}; with that undone all cameras agree in {agreeing} of {len(some)} frame sets, "
-        f"as it is in {as_it_is}: {mistake.cure}; nothing else is judged before"
+        f"as it is in {as_it_is}"
     )
-    return [Finding(Level.WRONG, "cameras", text)]
+    remedy = f"{mistake.cure}; nothing else is judged before"
+    of = ALL if len(mistake.names) == len(cameras) else ", ".join(mistake.names)
+    return [Cause(mistake.word, of, text, remedy, Level.WRONG)]
 
 
 def _mistakes(cameras: Mapping[str, Camera]) -> Iterator[_Exchanged | _TurnedOver]:

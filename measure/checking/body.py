@@ -12,6 +12,7 @@ from itertools import combinations, permutations
 import numpy as np
 
 from measure.arrays import Floats
+from measure.checking.causes import ALL, Cause, Word
 from measure.checking.finding import Finding, Level
 from measure.errors import DegenerateGeometryError
 from measure.estimation.body_layout import looks_mirrored, thickness
@@ -28,6 +29,9 @@ edges and are no scatter."""
 _MAX_PLANAR_MM = 1.0
 _SAME_DISTANCE_MM = 1.0
 _MAX_BALLS_PERMUTED = 6
+_ALIKE_SHARE = 0.1  # By which ratios of distances may differ where one factor is behind them
+_ONE_ALONE = 0.3
+"""A ball is named alone if the others' sizes agree with each other this much better."""
 
 
 @dataclass(frozen=True)
@@ -51,21 +55,24 @@ class Compared:
         return abs(self.measured_mm - length_mm) <= _SIGMAS * self.sd_mm + self.tolerance_mm
 
 
-def layout_findings(distances: Sequence[Compared], body: Body) -> list[str]:
-    """One line for the simplest explanation of distances that disagree."""
+def layout_causes(distances: Sequence[Compared], body: Body) -> list[Cause]:
+    """The simplest explanation of distances that disagree, with no pose known."""
     wrong = [d for d in distances if not d.agrees]
     if not wrong:
         return []
     complete = len(distances) == len(body.balls) * (len(body.balls) - 1) // 2
     if complete and (swap := _swap(distances, body)) is not None:
         return [swap]
-    if len(distances) > 1 and (scale := _scale(distances, body)) is not None:
-        return [scale]
-    if len(wrong) > 1 and (shared := set.intersection(*(set(d.what) for d in wrong))):
-        name = shared.pop()
-        apart = ", ".join(_line(d) for d in wrong)
-        return [f"ball {name} is not where the body file says: {apart}"]
-    return [_line(d) for d in wrong]
+    if (factor := scale_of(distances)) is not None:
+        return [_scaled(distances, body, *factor)]
+    shared = set.intersection(*(set(d.what) for d in wrong)) if len(wrong) > 1 else set[str]()
+    lines = ", ".join(_line(d) for d in wrong)
+    ball = shared.pop() if shared else ""
+    text = f"ball {ball} is not where the body file says: {lines}" if ball else lines
+    return [Cause(Word.PLACE, ball or ", ".join(wrong[0].what), text, _MEND_PLACES, Level.WRONG)]
+
+
+_MEND_PLACES = "correct the places in the body file (`measure body` finds them)"
 
 
 def _line(d: Compared) -> str:
@@ -75,7 +82,7 @@ def _line(d: Compared) -> str:
     )
 
 
-def _swap(distances: Sequence[Compared], body: Body) -> str | None:
+def _swap(distances: Sequence[Compared], body: Body) -> Cause | None:
     """The exchange of colours that explains all distances, if there is one."""
     length = {frozenset(d.what): d.file_mm for d in distances}
     names = body.names
@@ -88,63 +95,67 @@ def _swap(distances: Sequence[Compared], body: Body) -> str | None:
         new = dict(zip(names, way, strict=True))
         if all(d.may_be(length[frozenset((new[d.what[0]], new[d.what[1]]))]) for d in distances):
             moved = [name for name in names if new[name] != name]
-            return (
+            text = (
                 f"the colours of {', '.join(moved[:-1])} and {moved[-1]} are exchanged "
                 "in the body file: the distances fit when they change places"
             )
+            cure = "exchange them in the body file"
+            return Cause(Word.EXCHANGED_BALLS, ", ".join(moved), text, cure, Level.WRONG)
     return None
 
 
-def _scale(distances: Sequence[Compared], body: Body) -> str | None:
-    """One factor that explains all distances, if there is one."""
+def scale_of(distances: Sequence[Compared]) -> tuple[float, float] | None:
+    """One factor that explains all distances, and its standard deviation, if there is one."""
+    if len(distances) < 2 or all(d.agrees for d in distances):
+        return None
     weights = np.array([(d.file_mm / max(d.sd_mm, 0.05)) ** 2 for d in distances])
     ratios = np.array([d.measured_mm / d.file_mm for d in distances])
     factor = float(np.average(ratios, weights=weights))
     if not all(d.may_be(factor * d.file_mm) for d in distances):
         return None
+    return factor, float(1 / np.sqrt(weights.sum()))
+
+
+def _scaled(distances: Sequence[Compared], body: Body, factor: float, sd: float) -> Cause:
     first = distances[0]
     arm = float(np.linalg.norm(body.centers[0]))
-    return (
+    text = (
         f"the balls are {factor:.3f} times as far apart as the body file says "
         f"({first.what[0]} to {first.what[1]}: {first.measured_mm:.2f} +- {first.sd_mm:.2f} mm "
         f"instead of {first.file_mm:.2f} mm; {body.names[0]} then lies {factor * arm:.2f} mm "
         f"from the origin, not {arm:.2f} mm)"
     )
+    rivals = (f"{Word.SCALE} of {ALL}", f"{Word.ZOOM} of {ALL}")
+    return Cause(
+        Word.PLACE, ALL, text, _MEND_PLACES, Level.WRONG, factor, sd, "times", rivals=rivals
+    )
 
 
-def radius_findings(radii: Sequence[Compared]) -> list[str]:
-    """One line for every ball whose radius disagrees, or for all that disagree alike."""
+def radius_causes(radii: Sequence[Compared]) -> list[Cause]:
+    """Balls whose radius disagrees, or all of them where they disagree alike."""
     alone = [
-        f"ball {r.what[0]} has a radius of {r.measured_mm:.1f} +- {r.sd_mm:.1f} mm, "
-        f"the file says {r.file_mm:.1f} mm"
+        Cause(
+            Word.RADIUS,
+            r.what[0],
+            f"ball {r.what[0]} has a radius of {r.measured_mm:.1f} +- {r.sd_mm:.1f} mm, "
+            f"the file says {r.file_mm:.1f} mm",
+            _MEND_RADII,
+            Level.WRONG,
+            r.measured_mm,
+            r.sd_mm,
+            "mm",
+        )
         for r in radii
         if not r.agrees
     ]
     return alone or _shared_size(radii)
 
 
-def _shared_size(radii: Sequence[Compared]) -> list[str]:
-    """One line for radii that differ by a common factor, where no single one differs enough."""
-    if len(radii) < 3:
-        return []
-    off = float(np.median([(r.measured_mm - r.file_mm) / r.sd_mm for r in radii]))
-    if abs(off) <= _SHARED_SIGMAS:
-        return []
-    factor = float(np.median([r.measured_mm / r.file_mm for r in radii]))
-    radii_text = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
-    return [f"the balls are {factor:.2f} times as large as the body file says ({radii_text})"]
+_MEND_RADII = "measure them with callipers, or state a larger radius_tolerance_mm"
 
 
-def body_finding(text: str, level: Level, cameras_agree: bool) -> Finding:
-    """A line on the body; only weak where cameras do not stand as they should."""
-    if cameras_agree:
-        return Finding(level, "body", text)
-    doubt = "measured with cameras that do not agree: calibrate them first"
-    return Finding(Level.WEAK, "body", f"{text} ({doubt})")
-
-
-def size_findings(body: Body, seen: OutlineGrowth) -> list[Finding]:
-    """A line with the balls' sizes and their uncertainty where outlines contradict the file."""
+def size_causes(body: Body, seen: OutlineGrowth) -> list[Cause]:
+    """The balls' sizes and their uncertainty where outlines at known poses contradict the file."""
     if not seen.contradicts(body):
         return []
     off, covariance = seen.growth_mm / body.radii, seen.covariance_mm2
@@ -159,8 +170,26 @@ def size_findings(body: Body, seen: OutlineGrowth) -> list[Finding]:
         f"{ball.name} {ball.radius_mm + growth:.2f} +- {sd:.2f} mm for {ball.radius_mm:g}"
         for ball, growth, sd in rows
     )
-    cure = "measure them with callipers, or state a larger radius_tolerance_mm"
-    return [Finding(Level.WEAK, "body", f"{what} (radii: {each}): {cure}")]
+    of, text = ALL, f"{what} (radii: {each})"
+    scatter = np.abs(off - np.median(off))
+    if len(off) > 2 and np.sort(scatter)[-2] < _ONE_ALONE * scatter.max():
+        of = body.names[int(np.argmax(scatter))]
+    return [Cause(Word.RADIUS, of, text, _MEND_RADII, Level.WEAK, 100 * share, 100 * sd, "%")]
+
+
+def _shared_size(radii: Sequence[Compared]) -> list[Cause]:
+    """Radii that differ by a common factor, where no single one differs enough."""
+    if len(radii) < 3:
+        return []
+    off = float(np.median([(r.measured_mm - r.file_mm) / r.sd_mm for r in radii]))
+    if abs(off) <= _SHARED_SIGMAS:
+        return []
+    factor = float(np.median([r.measured_mm / r.file_mm for r in radii]))
+    each = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
+    text = f"the balls are {factor:.2f} times as large as the body file says ({each})"
+    sd = float(np.median([r.sd_mm / r.file_mm for r in radii]))
+    share = 100 * (factor - 1)
+    return [Cause(Word.RADIUS, ALL, text, _MEND_RADII, Level.WRONG, share, 100 * sd, "%")]
 
 
 def twin_findings(body: Body) -> list[Finding]:
@@ -243,8 +272,17 @@ class BodyCheck:
 
     distances: tuple[Compared, ...] = ()  # of every pair of balls that was located often enough
     radii: tuple[Compared, ...] = ()  # of every ball that was located often enough
-    findings: tuple[str, ...] = ()  # what is wrong, a line each; empty if nothing is
+    causes: tuple[Cause, ...] = ()  # what is wrong, by these alone; empty if nothing is
     blind_to: tuple[str, ...] = ()  # mistakes that the located balls cannot show, a line each
+
+    @property
+    def factor(self) -> float | None:
+        """About how many times larger the body looks, if distances disagree with the file."""
+        ratios = np.array([d.measured_mm / d.file_mm for d in self.distances])
+        if len(ratios) < 2 or all(d.agrees for d in self.distances):
+            return None
+        alike = np.ptp(ratios) < _ALIKE_SHARE * np.median(ratios)
+        return float(np.median(ratios)) if alike else None
 
 
 def locate_balls(
@@ -278,12 +316,12 @@ def check_body(located: Iterable[LocatedBalls], body: Body) -> BodyCheck:
         compared for name in body.names if (compared := _radius(frames, body, name)) is not None
     )
     known = {name for compared in distances for name in compared.what}
-    findings = [*layout_findings(distances, body), *radius_findings(radii)]
+    causes = [*layout_causes(distances, body), *radius_causes(radii)]
     if _mostly_mirrored(frames, body):
-        findings.append(
-            "the balls form the mirror image of the body file: one coordinate has the wrong sign"
-        )
-    return BodyCheck(distances, radii, tuple(findings), blind_to(body, known))
+        text = "the balls form the mirror image of the body file"
+        cure = "one coordinate has the wrong sign in it: correct it"
+        causes.insert(0, Cause(Word.MIRRORED, "body", text, cure, Level.WRONG))
+    return BodyCheck(distances, radii, tuple(causes), blind_to(body, known))
 
 
 def outline_sizes(

@@ -299,13 +299,6 @@ def _estimate(
     return clocks, sd
 
 
-def measured_instants(
-    measurements: Iterable[Measurement], body: Body, cameras: Sequence[Camera]
-) -> list[Instant]:
-    """The observations of all instants with a pose, in order of time, and the motion there."""
-    return _instants(*_sightings(measurements, body, cameras, _EXTRA_PX), cameras)
-
-
 def _sightings(
     measurements: Iterable[Measurement], body: Body, cameras: Sequence[Camera], extra_px: float
 ) -> tuple[list[PoseObservations], list[Pose]]:

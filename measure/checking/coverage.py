@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from measure.arrays import Floats
+from measure.checking.causes import Cause, Word
 from measure.checking.finding import Finding, Level
-from measure.checking.moved_cameras import CameraMisfit, SearchSample
+from measure.checking.search import SearchSample
 from measure.estimation.expected_accuracy import noise_sd, tolerance_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
@@ -32,15 +33,9 @@ class Coverage:
 
 
 def coverage_findings(
-    samples: Sequence[SearchSample],
-    body: Body,
-    cameras: Sequence[Camera],
-    misfits: Collection[CameraMisfit] = (),
+    samples: Sequence[SearchSample], body: Body, cameras: Sequence[Camera]
 ) -> tuple[tuple[Coverage, ...], list[Finding]]:
-    """The coverage of every camera and ball, and what is weak about it.
-
-    With `misfits`, cameras known to be off, disagreeing cameras are not reported.
-    """
+    """The coverage of every camera and ball, and what is weak about it."""
     with_pose = [s for s in samples if s.world_from_body is not None]
     table = tuple(_seen(with_pose, body, c, k) for c in cameras for k in range(len(body.balls)))
     findings: list[Finding] = []
@@ -51,7 +46,8 @@ def coverage_findings(
         level = Level.WRONG if lost > len(samples) / 2 else Level.WEAK
         text = f"no pose in {lost} of {len(samples)} frame sets looked at, mostly: {common}"
         findings.append(Finding(level, "balls", text))
-    disagreeing, lines = _disagreeing_cameras([] if misfits else with_pose)
+    disagreeing = {cause.of for cause in disagreeing_causes(samples)}
+    lines = list[Finding]()
     flagged = [s.flags[0] for s in samples if s.flags]
     if len(flagged) > _MAX_CHANCE_SHARE * len(samples):  # a second body may be in view
         text = f"{flagged[0]} (so in {len(flagged)} of {len(samples)} frame sets looked at)"
@@ -73,19 +69,21 @@ def coverage_findings(
     return table, findings
 
 
-def _disagreeing_cameras(samples: Sequence[SearchSample]) -> tuple[set[str], list[Finding]]:
-    """Cameras that see balls elsewhere in more than half of the samples, and a line for each."""
-    counts = Counter(name for sample in samples for name in sample.disagreeing_cameras)
-    often = {name: k for name, k in sorted(counts.items()) if k > len(samples) / 2}
-    return set(often), [
-        Finding(
+def disagreeing_causes(samples: Sequence[SearchSample]) -> list[Cause]:
+    """Cameras that see balls elsewhere in more than half of the frame sets with a pose."""
+    posed = [s for s in samples if s.world_from_body is not None]
+    counts = Counter(name for sample in posed for name in sample.disagreeing_cameras)
+    return [
+        Cause(
+            Word.MOVED,
+            name,
+            f"{name} sees balls, but none where the others do (in {k} of {len(posed)} frame sets)",
+            "it has another camera's calibration, or stands elsewhere than when it was calibrated: "
+            "calibrate it",
             Level.WRONG,
-            "calibration",
-            f"{name} sees balls, but none where the others do (in {k} of {len(samples)} frame "
-            "sets): it has another camera's calibration, or stands elsewhere than when it was "
-            "calibrated",
         )
-        for name, k in often.items()
+        for name, k in sorted(counts.items())
+        if k > len(posed) / 2
     ]
 
 

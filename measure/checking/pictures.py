@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats, Ints
+from measure.checking.causes import ALL, Cause, Word
 from measure.checking.finding import Finding, Level
 from measure.measuring.duplicate_images import DuplicateImages
 from measure.model import Detection, FrameSet
@@ -50,15 +51,17 @@ class DuplicateCount:
         for pair in found.shared:
             self.shared.setdefault(pair, set()).add(frame_set.images[pair[0]].frame)
 
-    def findings(self) -> list[Finding]:
-        """One line for each two cameras that show the same pictures."""
+    def causes(self) -> list[Cause]:
+        """Each two cameras that show the same pictures."""
         return [
-            Finding(
-                Level.WRONG,
-                "frames",
+            Cause(
+                Word.SAME_PICTURES,
+                f"{a}, {b}",
                 f"{a} and {b} hold the same pictures ({len(same)} of {len(self.compared[a])} "
-                "compared): one device under two names, or a wrong input of a video switch; give "
-                "each camera an address of its own, and record anew",
+                "compared)",
+                "one device under two names, or a wrong input of a video switch; give each camera "
+                "an address of its own, and record anew",
+                Level.WRONG,
             )
             for (a, b), same in self.shared.items()
         ]
@@ -112,6 +115,19 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
                 f"{steps[worst]:.3f} s after frame {frames[worst]} at {times_s[worst]:.3f} s",
             )
         )
+    return out
+
+
+def gaps_alone(times_s: Mapping[str, Floats]) -> dict[str, Floats]:
+    """By camera, when its stamps have a gap in which others have pictures of their own."""
+    out = dict[str, Floats]()
+    for name, own in times_s.items():
+        others = np.sort(np.concatenate([t for n, t in times_s.items() if n != name] or [own]))
+        steps = np.diff(own)
+        wide = steps > _DROPPED_STEPS * (np.median(steps) if len(steps) else 0.0)
+        first, last = own[:-1][wide], own[1:][wide]
+        inside = np.searchsorted(others, last) - np.searchsorted(others, first, side="right")
+        out[name] = first[inside > 0]
     return out
 
 
@@ -180,6 +196,56 @@ def _saturated(pixels: Bytes, ball: Detection) -> Bools:
     rows, columns = np.ogrid[: part.shape[0], : part.shape[1]]
     inside = (rows + top - y) ** 2 + (columns + left - x) ** 2 < r**2
     return np.asarray(part.max(axis=2) >= FULL)[inside]
+
+
+_COMB_LEVELS = 12  # By which a row differs from both its neighbours, the same way: noise is less
+_COMB_SHARE = 0.3
+"""Of an outline's length in px, pixels that do so where it moves by a pixel between the fields."""
+_COMBED_SHARE, _LEAST_COMBED = 0.2, 3  # Of pictures: where the body rests, no picture shows a comb
+_COMB_REACH = 1.2  # How far out is looked, in radii
+
+
+class CombCount:
+    """Counts pictures woven of two instants: edges that move look like combs."""
+
+    def __init__(self) -> None:
+        self._seen, self._combed = Counter[str](), Counter[str]()
+
+    def add(self, frame_set: FrameSet, balls: Sequence[Detection]) -> None:
+        """Look at the outlines of the balls found in a frame set."""
+        by_camera: dict[str, list[Detection]] = {}
+        for ball in balls:
+            by_camera.setdefault(ball.camera, []).append(ball)
+        for name, found in by_camera.items():
+            pixels = frame_set.images[name].pixels
+            self._seen[name] += 1
+            self._combed[name] += any(_is_combed(pixels, ball) for ball in found)
+
+    def causes(self) -> list[Cause]:
+        """The cameras of which many pictures are combed."""
+        names = [
+            name
+            for name, count in self._combed.items()
+            if count >= max(_LEAST_COMBED, _COMBED_SHARE * self._seen[name])
+        ]
+        if not names:
+            return []
+        counts = ", ".join(f"{self._combed[n]} of {self._seen[n]} of {n}" for n in names)
+        text = f"pictures are woven of two instants (edges of balls look like combs in {counts})"
+        of = ALL if len(names) == len(self._seen) else ", ".join(names)
+        cure = "interlaced: switch the camera to progressive pictures, and record again"
+        return [Cause(Word.INTERLACED, of, text, cure, Level.WRONG)]
+
+
+def _is_combed(pixels: Bytes, ball: Detection) -> bool:
+    (x, y), r = ball.center_px.tolist(), _COMB_REACH * ball.radius_px
+    part = pixels[max(round(y - r), 0) : round(y + r) + 1, max(round(x - r), 0) : round(x + r) + 1]
+    if min(part.shape[:2]) < 3:
+        return False
+    rows = part.astype(np.int16)
+    up, down = rows[1:-1] - rows[:-2], rows[1:-1] - rows[2:]
+    same = (np.minimum(up, down) > _COMB_LEVELS) | (np.maximum(up, down) < -_COMB_LEVELS)
+    return bool(same.any(axis=2).sum() > _COMB_SHARE * 2 * math.pi * ball.radius_px)
 
 
 class ColorlessCount:

@@ -54,6 +54,9 @@ def check(
 
 
 def _print(found: SessionCheck) -> None:
+    if found.causes:
+        first = found.causes[0]
+        console.print_text(f"{first.cause} of {first.of} ({first.level}): {first.text}")
     console.print_text(
         f"{found.session}: looked at {found.looked_at} of {found.frame_sets} frame sets"
     )

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from measure.arrays import Floats
-from measure.checking.body import Compared, layout_findings, size_findings, twin_findings
+from measure.checking.body import Compared, layout_causes, size_causes, twin_findings
+from measure.checking.diagnosis import diagnose
+from measure.checking.evidence import MOST_INSTANTS, Evidence, Sighting
 from measure.checking.finding import Level
 from measure.geometry import RigidTransform
 from measure.measuring.ball_radii import outline_growth
 from measure.model import Body, Camera, Detection
+from measure.model.observations import Reason, State
 from measure.results.tables import PLACE, matrices, numbers
 
 MIN_FRAME_SETS = 5  # Of fewer frame sets the scatter is not known well enough
-_MOST_VIEWS = 1500  # Ball-views, evenly spread: their errors are alike, so that more say no more
+_MOST_PAUSE_S = 0.5  # Longest time between poses that give a velocity
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,42 +96,72 @@ def _lengths(apart: Floats, covariances: Floats) -> tuple[Floats, Floats]:
     return lengths, np.sqrt(np.einsum("ni,nij,nj->n", along, covariances, along))
 
 
-def body_notes(
+def rig_notes(
     body: Body,
     cameras: Sequence[Camera],
     distances: Sequence[BallDistance],
     detections: pa.Table,
     poses: pa.Table,
 ) -> tuple[str, ...]:
-    """What is wrong or weak about the body file, a line each, with its level; by a run's tables."""
-    sizes = outline_growth(_seen(detections, poses), body, cameras)
-    weak = (*size_findings(body, sizes), *twin_findings(body))
-    return (*contradictions(body, distances), *map(str, weak))
+    """What may be wrong with the rig, the likeliest first, a line each; by a run's tables."""
+    seen, sightings = _sightings(detections, poses)
+    causes = list(diagnose(Evidence.of(sightings, body, cameras)).causes)
+    told = () if causes else contradictions(body, distances)
+    if not causes and not told:
+        causes = size_causes(body, outline_growth(seen, body, cameras))
+    findings = (*(cause.finding for cause in causes), *twin_findings(body))
+    return (*told, *map(str, findings))
 
 
-def _seen(detections: pa.Table, poses: pa.Table) -> Iterator[tuple[RigidTransform, Detection]]:
-    """Effective detections, evenly spread, with the poses of their frame sets."""
-    used = detections.filter(pc.equal(detections["state"], "effective"))
-    chosen = np.unique(
-        np.linspace(0, used.num_rows - 1, min(used.num_rows, _MOST_VIEWS), dtype=int)
+def _sightings(
+    detections: pa.Table, poses: pa.Table
+) -> tuple[list[tuple[RigidTransform, Detection]], list[Sighting]]:
+    """Effective detections with the pose of their frame set; and all that is seen at instants.
+
+    Of frame sets, evenly spread, that have a pose.
+    """
+    place, times_s = numbers(poses, *PLACE), numbers(poses, "time_s")
+    posed = np.flatnonzero(np.isfinite(place).all(axis=1))
+    if not len(posed):
+        return [], []
+    motion = RigidTransform.from_quat_wxyz(place[posed, 3:], place[posed, :3])
+    before, after = np.maximum(np.arange(len(posed)) - 1, 0), np.arange(1, len(posed) + 1)
+    after = np.minimum(after, len(posed) - 1)
+    lasts_s = np.maximum(times_s[posed[after]] - times_s[posed[before]], 1e-9)
+    steps = RigidTransform(motion.rotation[after], motion.translation[after]).difference(
+        RigidTransform(motion.rotation[before], motion.translation[before])
     )
-    place = numbers(poses, *PLACE)
-    order = poses["index"].to_numpy()
-    for seen in used.take(chosen).to_pylist():
-        at = place[np.searchsorted(order, seen["index"])]
-        if np.isfinite(at).all():
-            uu, uv, vv = (seen[f"var_{which}_px2"] for which in ("uu", "uv", "vv"))
-            yield (
-                RigidTransform.from_quat_wxyz(at[3:], at[:3]),
-                Detection(
-                    seen["ball"],
-                    seen["camera"],
-                    seen["time_s"],
-                    np.array([seen["u_px"], seen["v_px"]]),
-                    seen["radius_px"],
-                    np.array([[uu, uv], [uv, vv]]),
-                ),
-            )
+    velocity = np.where(lasts_s[:, None] < _MOST_PAUSE_S, steps / lasts_s[:, None], 0.0)
+    chosen = np.unique(np.linspace(0, len(posed) - 1, MOST_INSTANTS).round().astype(int))
+    order = poses["index"].to_numpy()[posed[chosen]]
+    wanted = pc.is_in(detections["index"], value_set=pa.array(order))
+    by_index: dict[int, list[Detection]] = {int(index): [] for index in order}
+    seen = []
+    at = {int(index): int(k) for index, k in zip(order, chosen, strict=True)}
+    for row in detections.filter(wanted).to_pylist():
+        if row["u_px"] is None or not np.isfinite(row["u_px"]) or row["reason"] == Reason.COLOR:
+            continue
+        detection = _detection(row)
+        by_index[row["index"]].append(detection)
+        if row["state"] == State.EFFECTIVE:
+            seen.append((motion[at[row["index"]]], detection))
+    sightings = [
+        Sighting(float(times_s[posed[k]]), motion[int(k)], velocity[k], by_index[int(index)])
+        for index, k in zip(order, chosen, strict=True)
+    ]
+    return seen, sightings
+
+
+def _detection(row: Mapping[str, Any]) -> Detection:
+    uu, uv, vv = (row[f"var_{which}_px2"] for which in ("uu", "uv", "vv"))
+    return Detection(
+        row["ball"],
+        row["camera"],
+        row["time_s"],
+        np.array([row["u_px"], row["v_px"]]),
+        row["radius_px"],
+        np.array([[uu, uv], [uv, vv]]),
+    )
 
 
 def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, ...]:
@@ -148,6 +182,6 @@ def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, 
         if one.count >= MIN_FRAME_SETS and np.isfinite(one.uncertainty_mm)
     ]
     return tuple(
-        f"{Level.WRONG}: {finding}; the body file or the calibration is off, and poses with it"
-        for finding in layout_findings(known, body)
+        f"{Level.WRONG}: {cause.text}; the body file or the calibration is off, and poses with it"
+        for cause in layout_causes(known, body)
     )

@@ -90,9 +90,9 @@ class Summary:
 
 
 def summarise(
-    detections: pa.Table, poses: pa.Table, notes: Sequence[str] = (), body_notes: Sequence[str] = ()
+    detections: pa.Table, poses: pa.Table, notes: Sequence[str] = (), rig_notes: Sequence[str] = ()
 ) -> Summary:
-    """Count and average the tables of a run; notes are the session's, and on the body file."""
+    """Count and average the tables of a run; notes are the session's, and on the rig."""
     statuses = Counter(poses["status"].to_pylist())
     given = [text.split("; ") for text in poses["reason"].to_pylist() if text]
     names = [name for of in ("ball", "camera") for name in pc.unique(detections[of]).to_pylist()]
@@ -119,7 +119,7 @@ def summarise(
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=counted(given, names),
-        notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *body_notes),
+        notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *rig_notes),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from measure.api import load_profile
 from measure.api.measuring import calibrated_pipeline
-from measure.checking.body import size_findings
+from measure.checking.body import size_causes
 from measure.host import Registry
 from measure.measuring.ball_radii import outline_growth, seen_balls
 from measure.session import open_session, read_trajectory
@@ -43,7 +43,7 @@ def test_a_wrong_size_is_found_told_and_does_no_harm(still, tmp_path, shares, sa
         pipeline = calibrated_pipeline(session, load_profile(), Registry.discover())
         measured = list(pipeline.measure(session.frame_sets()))
         seen = outline_growth(seen_balls(measured), session.body, session.cameras)
-        told = size_findings(session.body, seen)
+        told = size_causes(session.body, seen)
         assert np.array_equal(pipeline.body.radii, session.body.radii) == (said is None)
     sd = np.sqrt(np.diag(pipeline.body.radius_covariance))
     assert np.all(np.abs(pipeline.body.radii - 20) < 2 * sd)

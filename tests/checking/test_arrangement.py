@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from measure.checking import Level, search_sample
-from measure.checking.arrangement import arrangement_findings
+from measure.checking.arrangement import arrangement_causes
 from measure.geometry import RigidTransform
 from tests.scenes import FOUR, RAVEN, SIZE_WH, TARGET, a_pose, look_at, moved, ring, see
 
@@ -58,11 +58,11 @@ def turned(frame_sets, across, down, *names):
 def findings(frame_sets, cameras, body=RAVEN):
     cameras = list(cameras.values())
     searched = [search_sample(one, body, cameras, 0.0) for one in frame_sets]
-    return arrangement_findings(frame_sets, searched, body, cameras)
+    return arrangement_causes(frame_sets, searched, body, cameras)
 
 
 def found(frame_sets, cameras, body=RAVEN):
-    return [finding.text for finding in findings(frame_sets, cameras, body)]
+    return [cause.finding.text for cause in findings(frame_sets, cameras, body)]
 
 
 @pytest.mark.parametrize("body", [RAVEN, FOUR], ids=["flat", "solid"])

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.checking.body import Compared, check_body, locate_balls, radius_findings
+from measure.checking.body import Compared, check_body, locate_balls, radius_causes
 from measure.model import Body
 from tests.scenes import FOUR, RAVEN, a_pose, ring, see
 
@@ -36,7 +36,7 @@ def with_centers(body, centers):
 @pytest.mark.parametrize("body", [RAVEN, FOUR], ids=lambda body: body.name)
 def test_the_right_file_raises_nothing(body):
     result = check(body, body)
-    assert result.findings == ()
+    assert result.causes == ()
     assert len(result.distances) == len(body.balls) * (len(body.balls) - 1) / 2
     for length in (*result.distances, *result.radii):
         assert abs(length.measured_mm - length.file_mm) < 4 * length.sd_mm
@@ -47,10 +47,10 @@ def test_the_right_file_raises_nothing(body):
 @pytest.mark.parametrize("factor", [33 / 38, 1.05])
 def test_a_wrong_scale_is_said_in_one_line(factor):
     result = check(RAVEN, with_centers(RAVEN, RAVEN.centers * factor))
-    assert len(result.findings) == 1
-    assert f"{1 / factor:.2f}" in result.findings[0]
-    assert "times as far apart" in result.findings[0]
-    lengths = re.search(r"([\d.]+) mm from the origin, not ([\d.]+) mm", result.findings[0])
+    assert len(result.causes) == 1
+    assert f"{1 / factor:.2f}" in result.causes[0].text
+    assert "times as far apart" in result.causes[0].text
+    lengths = re.search(r"([\d.]+) mm from the origin, not ([\d.]+) mm", result.causes[0].text)
     assert [float(arm) for arm in lengths.groups()] == pytest.approx([38, 38 * factor], abs=0.05)
 
 
@@ -58,9 +58,9 @@ def test_a_wrong_scale_is_said_in_one_line(factor):
 def test_exchanged_colours_are_named(a, b):
     centers = RAVEN.centers.copy()
     centers[[a, b]] = centers[[b, a]]
-    (finding,) = check(RAVEN, with_centers(RAVEN, centers)).findings
-    assert finding.startswith("the colours of ")
-    assert "are exchanged" in finding
+    (cause,) = check(RAVEN, with_centers(RAVEN, centers)).causes
+    assert cause.text.startswith("the colours of ")
+    assert "are exchanged" in cause.text
 
 
 def test_what_an_isosceles_body_cannot_show_is_said():
@@ -71,21 +71,21 @@ def test_what_an_isosceles_body_cannot_show_is_said():
 
 
 def test_a_mirrored_layout_is_found():
-    (finding,) = check(FOUR, with_centers(FOUR, FOUR.centers * [1, 1, -1])).findings
-    assert "mirror image" in finding
+    (cause,) = check(FOUR, with_centers(FOUR, FOUR.centers * [1, 1, -1])).causes
+    assert "mirror image" in cause.text
 
 
 def test_one_misplaced_ball_is_named():
     centers = FOUR.centers + np.array([[0, 0, 0], [0, 4.0, 0], [0, 0, 0], [0, 0, 0]])
-    (finding,) = check(FOUR, with_centers(FOUR, centers)).findings
-    assert finding.startswith("ball blue is not where the body file says")
+    (cause,) = check(FOUR, with_centers(FOUR, centers)).causes
+    assert cause.text.startswith("ball blue is not where the body file says")
 
 
 def test_a_wrong_radius_is_found():
     file = Body("file", tuple(replace(b, radius_mm=18.0) for b in RAVEN.balls))
-    findings = check(RAVEN, file).findings
-    assert len(findings) == 3
-    assert findings[0].startswith("ball green has a radius of 20.")
+    causes = check(RAVEN, file).causes
+    assert len(causes) == 3
+    assert causes[0].text.startswith("ball green has a radius of 20.")
 
 
 def _radii(shares, file_mm=20.0, sd_mm=0.28):
@@ -100,21 +100,21 @@ def _radii(shares, file_mm=20.0, sd_mm=0.28):
 def test_a_common_factor_of_all_radii_is_found(factor):
     shares = factor + np.array([-0.005, 0.0, 0.005])
     assert all(radius.agrees for radius in _radii(shares))
-    (finding,) = radius_findings(_radii(shares))
-    assert finding.startswith(f"the balls are {factor:.2f} times as large as the body file says")
+    (cause,) = radius_causes(_radii(shares))
+    assert cause.text.startswith(f"the balls are {factor:.2f} times as large as the body file says")
     file = Body("file", tuple(replace(b, radius_mm=20.0 / factor) for b in RAVEN.balls))
-    (finding,) = check(RAVEN, file).findings
-    assert "times as large as the body file says" in finding
+    (cause,) = check(RAVEN, file).causes
+    assert "times as large as the body file says" in cause.text
 
 
 @pytest.mark.parametrize("shares", [(0.97, 0.99, 0.98), (0.94, 0.99, 1.0), (1.02, 0.97, 1.03)])
 def test_radii_within_the_bias_of_edges_agree(shares):
     """Edges lie inside the outlines of glossy balls, and one ball may look worse than others."""
-    assert radius_findings(_radii(shares)) == []
-    assert radius_findings(_radii((0.95, 0.95, 0.95))[:2]) == [], "two balls are too few"
+    assert radius_causes(_radii(shares)) == []
+    assert radius_causes(_radii((0.95, 0.95, 0.95))[:2]) == [], "two balls are too few"
 
 
 def test_too_few_frames_say_nothing():
     result = check(RAVEN, with_centers(RAVEN, RAVEN.centers * 0.8), count=2)
     assert result.distances == ()
-    assert result.findings == ()
+    assert result.causes == ()

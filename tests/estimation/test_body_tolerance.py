@@ -58,8 +58,8 @@ def test_distances_within_tolerance_are_not_flagged() -> None:
     assert not layout_flags(loose, RAVEN.names, centers, own, 0.5)
     places = dict(zip(RAVEN.names, centers, strict=True))
     seen = [LocatedBalls(places, dict.fromkeys(RAVEN.names, 1e-4), {})] * 5
-    assert check_body(seen, RAVEN).findings
-    assert not check_body(seen, loose).findings
+    assert check_body(seen, RAVEN).causes
+    assert not check_body(seen, loose).causes
 
 
 def test_expected_accuracy_includes_the_body_tolerance() -> None:

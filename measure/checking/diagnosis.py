@@ -1,0 +1,291 @@
+"""The causes of what a recording shows, in words: what is off, how much, and what mends it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.checking.causes import ALL, Cause, Word
+from measure.checking.clocks import CameraClock
+from measure.checking.evidence import Evidence
+from measure.checking.explaining import Explanation, explain, worst_camera
+from measure.checking.finding import Level
+from measure.checking.hypotheses import Hypothesis
+
+_EXPLAINED = 0.5
+"""Share that a cause explains, below which nothing that is known is named first."""
+_UNEXPLAINED = 1.0
+"""Mean square of residuals, in their stated variances, that no healthy recording leaves."""
+_CLOCK_WRONG_S, _CLOCK_NAMED_S = 0.002, 0.0005
+_RADIUS_WRONG = 0.05  # Share of a radius that no outline's bias is: less is measured with
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the ball-views of a recording say of its rig."""
+
+    causes: tuple[Cause, ...] = ()  # the likeliest first
+    # mean squares of the residuals in their stated variances: as the rig is stated, and with the
+    # causes allowed for.
+    misfit: float = 0.0
+    left: float = 0.0
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether more is left than any healthy recording leaves."""
+        return self.left > _UNEXPLAINED
+
+
+def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
+    """Explain the evidence; `squares`: whether the calibration's scale is that of a board."""
+    if evidence is None:
+        return Diagnosis()
+    found, misfit, fit = explain(evidence)
+    causes = [cause for one in found if (cause := _cause(evidence, one, squares)) is not None]
+    left = 0.0 if fit is None else fit.left
+    if fit and left > _UNEXPLAINED and sum(one.explains for one in found[:1]) < _EXPLAINED:
+        causes.insert(0, _unknown(worst_camera(evidence, fit), causes))
+    return Diagnosis(tuple(causes), misfit, left)
+
+
+def _unknown(camera: str | None, others: Sequence[Cause]) -> Cause:
+    who = "the cameras contradict each other" if camera is None else f"{camera} contradicts others"
+    return Cause(
+        Word.UNKNOWN,
+        camera or ALL,
+        f"{who}, and no error of a clock, a camera, the body or the scale explains most of it",
+        "look at the pictures: a picture that is stabilised, another body, frames that are not "
+        "where their stamps say",
+        Level.WRONG,
+        explains=0.0,
+        rivals=tuple(f"{cause.cause} of {cause.of}" for cause in others[:1]),
+    )
+
+
+def _cause(evidence: Evidence, one: Explanation, squares: bool) -> Cause | None:
+    """In words; None for what is too small to matter."""
+    hypothesis = one.hypothesis
+    values, covariance = one.fit.last()
+    size = float(np.linalg.norm(values))
+    axis = values / max(size, 1e-30)
+    sd = float(np.sqrt(max(float(axis @ covariance @ axis), 0.0)))
+    part = _Part(evidence, hypothesis, values, size, sd)
+    level = Level.WRONG if one.wrong else Level.WEAK
+    if hypothesis.word is Word.CLOCK:
+        if size < _CLOCK_NAMED_S:
+            return None
+        level = Level.WRONG if size > _CLOCK_WRONG_S else Level.WEAK
+    if hypothesis.word is Word.RADIUS:
+        level = Level.WRONG if size > _RADIUS_WRONG else Level.WEAK
+    if hypothesis.word is Word.ROLLING:
+        level = Level.WEAK
+    estimate, sd, unit, text, remedy = _WORDING[hypothesis.word](part)
+    names = [r.hypotheses[-1] for r in one.rivals]
+    rivals = [f"{h.word} of {h.of or ALL}" for h in names]
+    word = hypothesis.word
+    if word is Word.SCALE:
+        rivals.append(f"{Word.SCALE if squares else Word.SQUARE} of {ALL}")
+        word = Word.SQUARE if squares else Word.SCALE
+    return Cause(
+        word, hypothesis.of or ALL, text, remedy, level, estimate, sd, unit, one.explains,
+        tuple(rivals),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A hypothesis with its parameters."""
+
+    evidence: Evidence
+    hypothesis: Hypothesis
+    values: Floats  # (q,)
+    size: float  # their length
+    sd: float  # and its standard deviation
+
+    @property
+    def since(self) -> str:
+        """From when on, in words."""
+        if self.hypothesis.since is None:
+            return ""
+        return f"{self.evidence.times_s[self.hypothesis.since]:.2f} s"
+
+    @property
+    def who(self) -> str:
+        """Whose."""
+        return self.hypothesis.of or "all cameras"
+
+    def shifts_px(self) -> Floats:
+        """How far (n, 2) the views concerned are moved in their pictures."""
+        states = np.zeros(len(self.evidence), np.int64)
+        rig = self.hypothesis.basis @ self.values
+        poses = self.evidence.poses
+        here = self.evidence.linearised(poses, np.zeros((1, len(rig))), states)
+        there = self.evidence.linearised(poses, rig[None], states)
+        white = here.residuals - there.residuals
+        moved = np.linalg.solve(self.evidence.whitening, white[:, :, None])[:, :2, 0]
+        index = [camera.name for camera in self.evidence.cameras].index(self.hypothesis.of)
+        return np.asarray(moved[self.evidence.views == index])
+
+
+_Told = tuple[float, float, str, str, str]
+"""Estimate, its standard deviation and unit; what is off; and what mends it."""
+
+
+def _clock(part: _Part) -> _Told:
+    return _clock_told(part.who, float(part.values[0]), part.sd)
+
+
+def _clock_told(camera: str, off_s: float, sd_s: float) -> _Told:
+    text = f"{camera}: the clock is {1e3 * off_s:+.1f} +- {1e3 * sd_s:.1f} ms off the others"
+    remedy = f"add {off_s:+.4f} to its time_offset_s in session.toml (`measure sync` does)"
+    return 1e3 * off_s, 1e3 * sd_s, "ms", text, remedy
+
+
+def clock_cause(camera: str, ahead_s: float, rest: CameraClock | None) -> Cause:
+    """A clock that was set right by so much, and what is left of it."""
+    known = rest is not None and rest.offset_sd_s < np.inf
+    off_s, sd_s = (rest.offset_s, rest.offset_sd_s) if known and rest else (0.0, _CLOCK_NAMED_S)
+    estimate, sd, unit, text, remedy = _clock_told(camera, ahead_s + off_s, sd_s)
+    return Cause(Word.CLOCK, camera, text, remedy, Level.WRONG, estimate, sd, unit)
+
+
+def _clock_step(part: _Part) -> _Told:
+    off_s = float(part.values[0])
+    text = (
+        f"{part.who}: the clock steps by {-1e3 * off_s:+.0f} +- {1e3 * part.sd:.0f} ms at about "
+        f"{part.since}"
+    )
+    remedy = (
+        f"add {off_s:+.4f} s to its stamps from there on; a dropped second, a reconnect or a clock "
+        "that was set does this"
+    )
+    return -1e3 * off_s, 1e3 * part.sd, "ms", text, remedy
+
+
+def _turn_deg(part: _Part) -> tuple[float, float, float]:
+    """Mean shift in px, the turn in deg that makes it, and the latter's standard deviation."""
+    index = [camera.name for camera in part.evidence.cameras].index(part.hypothesis.of)
+    focal_px = part.evidence.cameras[index].intrinsics.focal_px
+    shift_px = float(np.linalg.norm(np.median(part.shifts_px(), axis=0)))
+    turn = float(np.degrees(shift_px / focal_px))
+    return shift_px, turn, turn * part.sd / max(part.size, 1e-30)
+
+
+def _moved(part: _Part) -> _Told:
+    shift_px, turn, sd = _turn_deg(part)
+    remedy = "was it touched? calibrate it again (`measure calibrate`, or `measure refine`)"
+    if len(part.values) == 2:
+        turn, sd = float(np.degrees(part.size)), float(np.degrees(part.sd))
+        text = (
+            f"{part.who} points {turn:.2f} +- {sd:.2f} deg beside where its calibration says "
+            f"({shift_px:.1f} px)"
+        )
+        return turn, sd, "deg", text, remedy
+    away = float(np.linalg.norm(part.values[:3]))
+    text = (
+        f"{part.who} points {turn:.2f} +- {sd:.2f} deg beside where its calibration says "
+        f"({shift_px:.1f} px), or stands some {away:.1f} mm from there"
+    )
+    return turn, sd, "deg", text, remedy
+
+
+def _moved_at(part: _Part) -> _Told:
+    shift_px, _, _ = _turn_deg(part)
+    turn, sd = float(np.degrees(part.size)), float(np.degrees(part.sd))
+    text = f"{part.who} was moved by {shift_px:.1f} px ({turn:.2f} deg) at about {part.since}"
+    return turn, sd, "deg", text, "measure up to there, or calibrate it again for the rest"
+
+
+def _zoom(part: _Part) -> _Told:
+    estimate, sd = 100 * float(np.expm1(part.values[0])), 100 * part.sd
+    amount = f"{estimate:+.2f} +- {sd:.2f} %"
+    if part.since:
+        text = f"{part.who}: its focal length is {amount} off its calibration from {part.since} on"
+        return estimate, sd, "%", text, "switch auto-focus and zoom off, and record again"
+    text = f"{part.who}: its focal length is {amount} off its calibration"
+    if not part.hypothesis.of:
+        text = f"the focal lengths of all cameras are {amount} off their calibration"
+    remedy = "was it focused or zoomed, or is another resolution or crop set? calibrate it"
+    return estimate, sd, "%", text, remedy
+
+
+def _point(part: _Part) -> _Told:
+    x, y = part.values.tolist()
+    whose = f"{part.who}: its principal point is"
+    if not part.hypothesis.of:
+        whose = "the principal points of all cameras are"
+    text = f"{whose} ({x:+.1f}, {y:+.1f}) +- {part.sd:.1f} px off"
+    return part.size, part.sd, "px", text, "is another crop or resolution set? calibrate the lens"
+
+
+def _scale(part: _Part) -> _Told:
+    factor = float(np.exp(part.values[0]))
+    text = (
+        f"the balls are {factor:.4f} +- {part.sd:.4f} times as far apart as the body file says, "
+        "and look as large as that: the scale of the calibration is off by this factor"
+    )
+    remedy = (
+        "was the printed board's square measured? Calibrate again with a square_mm "
+        f"{1 / factor:.4f} times as large; callipers on two balls tell whether the body file errs"
+    )
+    return factor, part.sd, "times", text, remedy
+
+
+def _radius(part: _Part) -> _Told:
+    share = float(np.expm1(part.values[0]))
+    size = "larger" if share > 0 else "smaller"
+    cure = "measure with callipers, or state a larger radius_tolerance_mm"
+    sizes = f"by {abs(share):.1%} +- {part.sd:.1%}"
+    if not part.hypothesis.of:
+        text = f"all balls look {size} than the body file says, {sizes}"
+        return 100 * share, 100 * part.sd, "%", text, cure
+    ball = part.evidence.body.balls[part.evidence.body.index(part.hypothesis.of)]
+    radius, sd = ball.radius_mm * (1 + share), ball.radius_mm * part.sd
+    text = (
+        f"ball {ball.name} has a radius of {radius:.1f} +- {sd:.1f} mm, the file says "
+        f"{ball.radius_mm:.1f} mm"
+    )
+    return radius, sd, "mm", text, cure
+
+
+def _place(part: _Part) -> _Told:
+    if not part.hypothesis.of:
+        factor = float(np.exp(part.values[0]))
+        body = part.evidence.body
+        arm = float(np.linalg.norm(body.centers[0]))
+        text = (
+            f"the balls are {factor:.4f} +- {part.sd:.4f} times as far apart as the body file "
+            f"says, and look no larger ({body.names[0]} then lies {factor * arm:.2f} mm from the "
+            f"origin, not {arm:.2f} mm)"
+        )
+        remedy = "correct the places in the body file (`measure body` finds them)"
+        return factor, part.sd, "times", text, remedy
+    text = (
+        f"ball {part.hypothesis.of} is not where the body file says, but {part.size:.2f} +- "
+        f"{part.sd:.2f} mm from there"
+    )
+    return part.size, part.sd, "mm", text, "correct its place in the body file, or fix the ball"
+
+
+def _rolling(part: _Part) -> _Told:
+    readout = 1e3 * float(part.values[0])
+    whose = f"{part.who}: its shutter rolls" if part.hypothesis.of else "all shutters roll"
+    text = f"{whose}, {readout:.1f} +- {1e3 * part.sd:.1f} ms from the first row to the last"
+    return readout, 1e3 * part.sd, "ms", text, "state readout_s in the calibration"
+
+
+_WORDING: dict[Word, Callable[[_Part], _Told]] = {
+    Word.CLOCK: _clock,
+    Word.CLOCK_STEP: _clock_step,
+    Word.MOVED: _moved,
+    Word.MOVED_AT: _moved_at,
+    Word.ZOOM: _zoom,
+    Word.POINT: _point,
+    Word.SCALE: _scale,
+    Word.RADIUS: _radius,
+    Word.PLACE: _place,
+    Word.ROLLING: _rolling,
+}

@@ -1,0 +1,359 @@
+"""Which few parameters of the rig explain what a recording shows: hypotheses compete.
+
+All residuals of all ball-views are fitted again for every hypothesis, robustly, with the pose of
+every instant eliminated (Schur complement; Triggs et al. 2000, section 6). The best hypothesis is
+the one with the largest gain in chi-square over the null, less what its parameters cost (Schwarz
+1978); what gains nearly as much is a rival. What it leaves is explained further.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.checking.causes import Word
+from measure.checking.evidence import EDGE, Evidence, Linear
+from measure.checking.hypotheses import LARGEST, MIDWAY, Hypothesis, hypotheses, of_camera
+from measure.geometry import RigidTransform, chi_square_quantile
+from measure.geometry.normal_equations import symmetric_inverse
+
+_HUBER_SIGMAS = 3.0
+_BIAS_SHARE, _EDGE_SHARE = 0.5, 1.5
+"""Of a view's systematic error, what it errs by in all pictures alike; and what all outlines have
+in common (blur, gloss)."""
+_SIZE, _WEAK, _WRONG = 0.9973, 1 - 6.3e-5, 1 - 2e-9
+"""Shares of a normal variable within three, four and six standard deviations."""
+_BOUNDED = (Word.RADIUS, Word.SCALE)
+"""Causes whose standard deviation bounds a bias, and is no scatter: less of it tells."""
+_RIVAL_SHARE, _RIVAL_GAIN = 0.1, 16.0
+"""What gains less than the best by no more than this share, or this much, is a rival."""
+_RARE_PRICE = 15.0
+"""Of the principal point of one camera, in chi-square: cameras are touched far more often. So much
+less costs a clock that steps where its stamps have a gap."""
+_BLOCKS, _ITERATIONS, _REFINED = 8, 8, 10
+_MIN_INSTANTS, _MIN_PART = 4, 3
+"""Least number of instants; and before and after the one at which something changes."""
+_MOST_CAUSES = 3
+_WORST_SHARE, _WORST_SIGMAS = 0.5, 30.0
+"""Of what is left, from which one camera is named; a view counts up to so much."""
+_MAX_SPLITS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Hypotheses, fitted together."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    values: Floats  # (q + 1,) their parameters, one after the other, and the outlines' edge in px
+    poses: RigidTransform
+    cost: float  # the robust sum of squares
+    covariance: Floats  # (q, q) by noise, constant biases, and between parts of the recording
+    freedom: int
+
+    def last(self) -> tuple[Floats, Floats]:
+        """Parameters (r,) of the last hypothesis, and their covariance."""
+        count = self.hypotheses[-1].basis.shape[1]
+        return self.values[-count - 1 : -1], self.covariance[-count:, -count:]
+
+    @property
+    def left(self) -> float:
+        """The mean square of the residuals in their stated variances."""
+        return self.cost / max(self.freedom, 1)
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the last hypothesis is off by what can be."""
+        values, _ = self.last()
+        most = LARGEST.get(self.hypotheses[-1].word, np.inf)
+        return bool(np.linalg.norm(values) < most)
+
+    @property
+    def significance(self) -> float:
+        """Squared Mahalanobis distance of the last hypothesis from nothing."""
+        values, covariance = self.last()
+        return float(values @ symmetric_inverse(covariance) @ values)
+
+
+class Explanation(NamedTuple):
+    """A hypothesis that was chosen."""
+
+    fit: Fit  # beside those chosen before
+    wrong: bool  # beyond six standard deviations; else beyond four
+    explains: float  # share of what was left before
+    rivals: tuple[Fit, ...]
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """What it is."""
+        return self.fit.hypotheses[-1]
+
+
+def explain(evidence: Evidence) -> tuple[list[Explanation], float, Fit | None]:
+    """The hypotheses that explain the evidence, the most important first.
+
+    Behind them the mean square of the residuals in their stated variances, 1 or less where all is
+    well; and the fit with all of them.
+    """
+    found: list[Explanation] = []
+    if len(evidence.times_s) < _MIN_INSTANTS or len(np.unique(evidence.views)) < 2:
+        return found, 0.0, None
+    here = _fitted(evidence, ())
+    misfit = here.left
+    taken: set[tuple[Word, str]] = set()
+    while len(found) < _MOST_CAUSES:
+        best = _best(evidence, here, taken)
+        if best is None or (
+            found and not best.wrong
+        ):  # beside another cause the slight may be chance
+            break
+        found.append(best)
+        here = best.fit
+        taken.add((best.hypothesis.word, best.hypothesis.of))
+    return found, misfit, here
+
+
+def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explanation | None:
+    screened = [(score, h) for score, h in _screened(evidence, here) if (h.word, h.of) not in taken]
+    best_of: dict[tuple[Word, str, bool, int], tuple[float, Hypothesis]] = {}
+    for score, hypothesis in screened:
+        key = (hypothesis.word, hypothesis.of, hypothesis.since is None, hypothesis.basis.shape[1])
+        if score > best_of.get(key, (0.0, hypothesis))[0]:
+            best_of[key] = score, hypothesis
+    ranked = sorted(best_of.values(), key=lambda pair: -pair[0])[:_REFINED]
+    fits = [_fitted(evidence, (*here.hypotheses, h), here) for _, h in ranked]
+    fits = [fit for fit in fits if fit.plausible and fit.significance > _threshold(_WEAK, fit)]
+    if not fits:
+        return None
+    noise = max(1.0, min(fit.left for fit in fits))
+    most = max(here.cost - fit.cost for fit in fits)
+    least = most - max(_RIVAL_GAIN * noise, _RIVAL_SHARE * most)
+    alike = [fit for fit in fits if here.cost - fit.cost >= least]
+    alike.sort(key=lambda fit: (_price(fit, evidence), fit.cost))
+    best, *others = alike
+    gain = here.cost - best.cost
+    if gain / noise < _price(best, evidence):
+        return None
+    own = {(best.hypotheses[-1].word, best.hypotheses[-1].of)}
+    own.add((MIDWAY.get(best.hypotheses[-1].word, Word.UNKNOWN), best.hypotheses[-1].of))
+    rivals = []
+    for fit in others:
+        name = fit.hypotheses[-1].word, fit.hypotheses[-1].of
+        if name not in own:
+            own.add(name)
+            rivals.append(fit)
+    left = max(here.cost - best.freedom, gain)
+    wrong = best.significance > _threshold(_WRONG, best)
+    return Explanation(best, wrong, gain / max(left, 1e-9), tuple(rivals))
+
+
+def _threshold(share: float, fit: Fit) -> float:
+    last = fit.hypotheses[-1]
+    if last.word in _BOUNDED:
+        share = {_WEAK: _SIZE, _WRONG: _WEAK}[share]
+    return chi_square_quantile(share, last.basis.shape[1])
+
+
+def _price(fit: Fit, evidence: Evidence) -> float:
+    """Of the parameters of the last hypothesis, in chi-square (Bayesian information criterion)."""
+    return _price_of(fit.hypotheses[-1], evidence)
+
+
+def _price_of(one: Hypothesis, evidence: Evidence) -> float:
+    rare = _RARE_PRICE if one.word is Word.POINT and one.of else 0.0
+    if one.word is Word.CLOCK_STEP and evidence.has_gap(one.of, one.since or 0):
+        rare = -_RARE_PRICE
+    count = one.basis.shape[1] + (one.since is not None)
+    return count * float(np.log(3 * len(evidence))) + rare
+
+
+def _screened(evidence: Evidence, here: Fit) -> Iterator[tuple[float, Hypothesis]]:
+    """Every hypothesis with what it is about to gain, its price taken off; the likely ones only."""
+    system = _system(evidence, here)
+    total = system.from_instant(0)
+    for hypothesis in hypotheses(evidence):
+        yield _score(evidence, system, total, hypothesis), hypothesis
+    count = len(evidence.times_s)
+    splits = range(_MIN_PART, count - _MIN_PART + 1)
+    for since in splits[:: -(-max(len(splits), 1) // _MAX_SPLITS)]:
+        part = system.from_instant(since)
+        for index, camera in enumerate(evidence.cameras):
+            for one in of_camera(evidence, index, camera.name):
+                later = one._replace(word=MIDWAY[one.word], since=since)
+                yield _score(evidence, system, part, later), later
+
+
+class _System(NamedTuple):
+    """Normal equations, instant by instant, the poses eliminated."""
+
+    normal: Floats  # (k, p, p)
+    right: Floats  # (k, p)
+    nuisance: list[int]  # columns that are always free
+    fixed: Floats  # (m, m) and
+    others: Floats  # (m, p) of the nuisance, over all instants
+
+    def from_instant(self, since: int) -> tuple[Floats, Floats]:
+        """Their sums from an instant on."""
+        return self.normal[since:].sum(axis=0), self.right[since:].sum(axis=0)
+
+
+def _system(evidence: Evidence, here: Fit) -> _System:
+    linear = _linearised(evidence, here.poses, here.hypotheses, here.values)
+    parts = _Reduced.of(evidence, linear, linear.by_rig)
+    normal, right = parts.normal, parts.right
+    nuisance = [evidence.shared(EDGE)]
+    total = normal.sum(axis=0)
+    fixed = (
+        total[np.ix_(nuisance, nuisance)] + np.eye(1) / (_EDGE_SHARE * evidence.systematic_px) ** 2
+    )
+    return _System(normal, right, nuisance, fixed, total[nuisance])
+
+
+def _edge_prior(evidence: Evidence) -> float:
+    return 1 / (_EDGE_SHARE * evidence.systematic_px) ** 2
+
+
+def _score(
+    evidence: Evidence, system: _System, part: tuple[Floats, Floats], hypothesis: Hypothesis
+) -> float:
+    """The gain in chi-square near the state, less the price."""
+    normal, right = part
+    cross = normal[system.nuisance] @ hypothesis.basis
+    own = hypothesis.basis.T @ normal @ hypothesis.basis
+    own = own - cross.T @ np.linalg.solve(system.fixed, cross)
+    some = hypothesis.basis.T @ right
+    gain = float(some @ symmetric_inverse(own) @ some)
+    return gain - _price_of(hypothesis, evidence)
+
+
+class _Reduced(NamedTuple):
+    """Normal equations of q parameters by instant, the poses eliminated."""
+
+    normal: Floats  # (k, q, q)
+    right: Floats  # (k, q)
+    own: Floats  # (n, 3, q) the right side's derivative by the residuals
+    steps: Floats  # (k, 6) of the poses alone
+    adapts: Floats  # (k, 6, q) and how these follow the parameters
+    cost: float
+
+    @classmethod
+    def of(cls, evidence: Evidence, linear: Linear, by_others: Floats) -> _Reduced:
+        residuals, by_pose, _ = linear
+        length = np.linalg.norm(residuals, axis=1)
+        weight = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(length, 1e-9))
+        inside = np.minimum(length, _HUBER_SIGMAS)
+        weighted = weight[:, None, None] * np.swapaxes(by_pose, 1, 2)
+        count, q = len(evidence.times_s), by_others.shape[2]
+        V = np.zeros((count, 6, 6))
+        W, h = np.zeros((count, 6, q)), np.zeros((count, 6))
+        np.add.at(V, evidence.instants, weighted @ by_pose)
+        np.add.at(W, evidence.instants, weighted @ by_others)
+        np.add.at(h, evidence.instants, np.einsum("nij,nj->ni", weighted, residuals))
+        inverse = _inverses(V)
+        adapts = inverse @ W
+        own = weight[:, None, None] * (by_others - by_pose @ adapts[evidence.instants])
+        normal, right = np.zeros((count, q, q)), np.zeros((count, q))
+        np.add.at(normal, evidence.instants, np.swapaxes(own, 1, 2) @ by_others)
+        np.add.at(right, evidence.instants, np.einsum("niq,ni->nq", own, residuals))
+        steps = np.einsum("kij,kj->ki", inverse, h)
+        cost = float(np.sum(inside * (2 * length - inside)))
+        return cls(normal, right, own, steps, adapts, cost)
+
+
+def _inverses(matrices: Floats) -> Floats:
+    """Of symmetric matrices (k, n, n) that may be singular."""
+    scale = np.sqrt(np.maximum(np.einsum("kii->ki", matrices), 1e-12))
+    unit = matrices / (scale[:, :, None] * scale[:, None, :])
+    return np.asarray(
+        np.linalg.pinv(unit, rcond=1e-9, hermitian=True) / (scale[:, :, None] * scale[:, None, :])
+    )
+
+
+def worst_camera(evidence: Evidence, fit: Fit) -> str | None:
+    """The camera that most of what is left concerns; None if it is none alone."""
+    residuals = _linearised(evidence, fit.poses, fit.hypotheses, fit.values).residuals
+    lengths = np.minimum(np.linalg.norm(residuals, axis=1), _WORST_SIGMAS)
+    shares = np.bincount(evidence.views, lengths**2, len(evidence.cameras))
+    worst = int(np.argmax(shares))
+    alone = shares[worst] > _WORST_SHARE * shares.sum()
+    return evidence.cameras[worst].name if alone else None
+
+
+def _linearised(
+    evidence: Evidence, poses: RigidTransform, some: Sequence[Hypothesis], values: Floats
+) -> Linear:
+    """The evidence about hypotheses with values (q + 1,), the last of which is that of the edge."""
+    holds = [h.holds(evidence.instants) for h in some]
+    codes = sum((2**k * held for k, held in enumerate(holds)), np.zeros(len(evidence), np.int64))
+    kinds, states = np.unique(codes, return_inverse=True)
+    rigs = np.zeros((len(kinds), evidence.size))
+    rigs[:, evidence.shared(EDGE)] = values[-1]
+    at = 0
+    for k, hypothesis in enumerate(some):
+        count = hypothesis.basis.shape[1]
+        rigs[kinds >> k & 1 > 0] += hypothesis.basis @ values[at : at + count]
+        at += count
+    return evidence.linearised(poses, rigs, states)
+
+
+def _fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = None) -> Fit:
+    """Fit hypotheses together with the poses, robustly, by Gauss-Newton."""
+    count = sum(h.basis.shape[1] for h in some)
+    values = np.zeros(count + 1)
+    poses = evidence.poses
+    if start is not None:
+        poses = start.poses
+        values[: len(start.values) - 1], values[-1] = start.values[:-1], start.values[-1]
+    prior = np.zeros((count + 1, count + 1))
+    prior[-1, -1] = _edge_prior(evidence)
+    best: tuple[float, Floats, RigidTransform, _Reduced, Floats] | None = None
+    for _ in range(_ITERATIONS):
+        linear = _linearised(evidence, poses, some, values)
+        columns = [
+            (linear.by_rig @ h.basis) * h.holds(evidence.instants)[:, None, None] for h in some
+        ]
+        columns.append(linear.by_rig[:, :, [evidence.shared(EDGE)]])
+        parts = _Reduced.of(evidence, linear, np.concatenate(columns, axis=2))
+        cost = parts.cost + values[-1] ** 2 * prior[-1, -1]
+        normal = parts.normal.sum(axis=0) + prior
+        settled = best is not None and best[0] - cost < 1e-3 * abs(cost)
+        if best is None or cost < best[0]:
+            best = cost, values, poses, parts, normal
+        if settled:
+            break
+        step = symmetric_inverse(normal) @ (parts.right.sum(axis=0) - prior @ values)
+        values = values + step
+        poses = poses.perturb(parts.steps - parts.adapts @ step)
+    assert best is not None
+    cost, values, poses, parts, normal = best
+    freedom = 3 * len(evidence) - 6 * len(evidence.times_s) - count
+    noise = max(1.0, cost / max(freedom, 1))
+    covariance = _covariance(evidence, parts, normal, noise)
+    return Fit(tuple(some), values, poses, cost, covariance[:-1, :-1], freedom)
+
+
+def _covariance(evidence: Evidence, parts: _Reduced, normal: Floats, noise: float) -> Floats:
+    """Of noise, of constant biases, and between blocks of the recording (jackknife)."""
+    inverse = symmetric_inverse(normal)
+    right = parts.right.sum(axis=0)
+    blocks = np.array_split(np.arange(len(parts.right)), min(_BLOCKS, len(parts.right)))
+    spread = np.array(
+        [
+            symmetric_inverse(normal - parts.normal[block].sum(axis=0))
+            @ (right - parts.right[block].sum(axis=0))
+            - inverse @ right
+            for block in blocks
+        ]
+    )
+    jackknife = (len(blocks) - 1) / len(blocks) * spread.T @ spread
+    bias = np.zeros((len(evidence.cameras) * len(evidence.body.balls), 3, normal.shape[0]))
+    bias_px = _BIAS_SHARE * evidence.systematic_px
+    sizes = 2 * bias_px * np.exp(-evidence.seen[:, 2])
+    units = np.stack([np.full(len(evidence), bias_px)] * 2 + [sizes], axis=1)
+    by_bias = np.swapaxes(evidence.whitening * units[:, None, :], 1, 2) @ parts.own
+    np.add.at(bias, evidence.views * len(evidence.body.balls) + evidence.balls, by_bias)
+    biased = bias.reshape(-1, normal.shape[0]) @ inverse
+    return np.asarray(noise * inverse + jackknife + biased.T @ biased)

@@ -1,0 +1,85 @@
+"""What may be off with a rig: hypotheses, each a few of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Bools, Floats, Ints
+from measure.checking.causes import Word
+from measure.checking.evidence import (
+    CLOCK,
+    FOCAL,
+    POINT,
+    ROLL,
+    SCALE,
+    SHIFT,
+    SPREAD,
+    TURN,
+    Evidence,
+)
+
+MIDWAY = {Word.CLOCK: Word.CLOCK_STEP, Word.MOVED: Word.MOVED_AT, Word.ZOOM: Word.ZOOM}
+"""What something is called that begins midway."""
+
+
+LARGEST = {Word.ROLLING: 0.1, Word.ZOOM: 0.7, Word.RADIUS: 0.7, Word.SCALE: 1.0, Word.PLACE: 100.0}
+"""What no camera, body or board is off by: s of readout, logarithms, mm."""
+
+
+class Hypothesis(NamedTuple):
+    """A few parameters of the rig that may be off."""
+
+    word: Word
+    of: str  # the camera or ball; empty for all
+    basis: Floats  # (p, q) the rig's parameters by those of the hypothesis
+    since: int | None = None  # the first instant for which it holds; None for all
+
+    def holds(self, instants: Ints) -> Bools:
+        """At which instants (n,)."""
+        return instants >= (self.since or 0)
+
+
+def hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """All that hold from the start."""
+    size, eye = evidence.size, np.eye(evidence.size)
+    cameras, body = evidence.cameras, evidence.body
+
+    def columns(*index: int) -> Floats:
+        return eye[:, list(index)]
+
+    def together(what: slice) -> Floats:
+        each = [evidence.of_camera(c, what) for c in range(len(cameras))]
+        out = np.zeros((size, len(each[0])))
+        for own in each:
+            out[own, range(len(own))] = 1.0
+        return out
+
+    for index, camera in enumerate(cameras):
+        yield from of_camera(evidence, index, camera.name)
+        yield Hypothesis(Word.ROLLING, camera.name, columns(*evidence.of_camera(index, ROLL)))
+        yield Hypothesis(Word.POINT, camera.name, columns(*evidence.of_camera(index, POINT)))
+        if len(cameras) > 2:
+            pose = evidence.of_camera(index, SHIFT) + evidence.of_camera(index, TURN)
+            yield Hypothesis(Word.MOVED, camera.name, columns(*pose))
+    yield Hypothesis(Word.ZOOM, "", together(FOCAL))
+    yield Hypothesis(Word.POINT, "", together(POINT))
+    yield Hypothesis(Word.ROLLING, "", together(ROLL))
+    yield Hypothesis(Word.SCALE, "", columns(evidence.shared(SCALE)))
+    yield Hypothesis(Word.PLACE, "", columns(evidence.shared(SPREAD)))
+    count = len(body.balls)
+    every = columns(*(evidence.radius(k) for k in range(count))).sum(axis=1, keepdims=True)
+    yield Hypothesis(Word.RADIUS, "", every)
+    for index, ball in enumerate(body.balls):
+        yield Hypothesis(Word.RADIUS, ball.name, columns(evidence.radius(index)))
+        yield Hypothesis(Word.PLACE, ball.name, columns(*evidence.place(index)))
+
+
+def of_camera(evidence: Evidence, index: int, name: str) -> Iterator[Hypothesis]:
+    """Those of one camera that may begin midway."""
+    eye = np.eye(evidence.size)
+    yield Hypothesis(Word.CLOCK, name, eye[:, evidence.of_camera(index, CLOCK)])
+    yield Hypothesis(Word.MOVED, name, eye[:, evidence.of_camera(index, TURN)[:2]])
+    yield Hypothesis(Word.ZOOM, name, eye[:, evidence.of_camera(index, FOCAL)])

@@ -1,0 +1,152 @@
+"""One model explains what is wrong with a rig: the smallest cause that does, and its rivals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.checking import Level, search_sample, with_velocities
+from measure.checking.causes import ALL, Word
+from measure.checking.diagnosis import diagnose
+from measure.checking.evidence import evidence_of
+from measure.geometry import RigidTransform
+from tests.scenes import RAVEN, TARGET, moved, ring, see
+
+CAMERAS = ring()
+COUNT, RATE = 24, 30.0
+PHASES = np.array([0.0, 0.008, 0.016, 0.024])
+
+
+def path(time_s):
+    shift = 40 * np.array([np.sin(5 * time_s), np.cos(3.7 * time_s), np.sin(2.1 * time_s)])
+    turn = 0.4 * np.sin([3 * time_s, 5 * time_s, 0.5])
+    return RigidTransform.from_rotvec(turn, TARGET + shift)
+
+
+def diagnosed(
+    real=lambda k: CAMERAS, stated=None, body=RAVEN, late=lambda k: np.zeros(4), gaps=None, seed=0
+):
+    """`real(k)` says where cameras truly stand; `late(k)` how late their stamps are, in s."""
+    cameras = list((stated or CAMERAS).values())
+    found, samples = [], []
+    for k in range(COUNT):
+        rng = np.random.default_rng([seed, k])
+        seen = see(real(k), RAVEN, path, 0.1, rng, k / RATE + np.zeros(4))
+        stamps = dict(zip(CAMERAS, k / RATE + late(k), strict=True))
+        seen = [replace(d, time_s=stamps[d.camera]) for d in seen]
+        names = [camera.name for camera in cameras]
+        found.append({name: [d for d in seen if d.camera == name] for name in names})
+        time_s = float(np.median([stamps[name] for name in names]))
+        samples.append(search_sample(found[-1], body, cameras, time_s))
+    evidence = evidence_of(with_velocities(samples), found, (), body, cameras, gaps)
+    return diagnose(evidence)
+
+
+def turned(name, rotvec_camera, cameras=CAMERAS):
+    camera = cameras[name]
+    rotvec = camera.world_from_camera.rotate(rotvec_camera)
+    return {**cameras, name: moved(camera, camera.world_from_camera.perturb([0, 0, 0, *rotvec]))}
+
+
+def zoomed(share, *names):
+    by = np.array([[share, share, 1], [share, share, 1], [1, 1, 1]])
+    return {
+        name: replace(c, intrinsics=replace(c.intrinsics, matrix=c.intrinsics.matrix * by))
+        if name in names
+        else c
+        for name, c in CAMERAS.items()
+    }
+
+
+def first(diagnosis):
+    assert diagnosis.causes
+    return diagnosis.causes[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_right_rig_has_no_cause(seed):
+    found = diagnosed(seed=seed)
+    assert found.causes == ()
+    assert not found.unexplained
+    late = diagnosed(late=lambda k: PHASES, real=lambda k: CAMERAS, seed=seed)
+    assert first(late).cause in (Word.CLOCK, Word.ROLLING)  # pictures of one time, other stamps
+
+
+@pytest.mark.parametrize("name", list(CAMERAS))
+def test_a_knocked_camera_is_named_with_amount_and_time(name):
+    knocked = turned(name, [0.004, -0.003, 0])
+    cause = first(diagnosed(real=lambda k: knocked if k >= 8 else CAMERAS))
+    assert (cause.cause, cause.of, cause.level) == (Word.MOVED_AT, name, Level.WRONG)
+    assert cause.estimate == pytest.approx(np.degrees(0.005), rel=0.1)
+    assert abs(cause.estimate - np.degrees(0.005)) < 4 * cause.sd
+    assert "0.27 s" in cause.text
+    assert "measure up to there" in cause.remedy
+
+
+def test_a_camera_wrong_from_the_start_is_named():
+    found = diagnosed(real=lambda k: turned("cam2", [0.005, 0.004, 0]))
+    assert (first(found).cause, first(found).of) == (Word.MOVED, "cam2")
+    assert first(found).explains > 0.9
+    assert len(found.causes) == 1
+
+
+@pytest.mark.parametrize(("late_s", "name"), [(0.015, "cam1"), (-0.08, "cam3"), (0.2, "cam0")])
+def test_a_clock_is_told_from_a_turn(late_s, name):
+    late = np.where([n == name for n in CAMERAS], late_s, 0.0)
+    cause = first(diagnosed(late=lambda k: late))
+    assert (cause.cause, cause.of, cause.unit) == (Word.CLOCK, name, "ms")
+    assert cause.estimate == pytest.approx(-1e3 * late_s, abs=max(4 * cause.sd, 3))
+
+
+def test_a_clock_that_steps_is_no_moved_camera():
+    one = np.array([0.0, 0.1, 0.0, 0.0])
+    cause = first(diagnosed(late=lambda k: one * (k >= 12), gaps={"cam1": np.array([11 / RATE])}))
+    assert (cause.cause, cause.of) == (Word.CLOCK_STEP, "cam1")
+    assert cause.estimate == pytest.approx(100, abs=5)
+
+
+def test_a_zoomed_camera_and_all_zoomed():
+    cause = first(diagnosed(stated=zoomed(0.97, "cam1")))
+    assert (cause.cause, cause.of) == (Word.ZOOM, "cam1")
+    assert cause.estimate == pytest.approx(100 * (1 / 0.97 - 1), abs=0.3)
+    cause = first(diagnosed(stated=zoomed(0.98, *CAMERAS)))
+    assert (cause.cause, cause.of) == (Word.ZOOM, ALL)
+
+
+def test_a_scale_is_told_from_the_lengths_of_the_body_file():
+    far = {
+        name: moved(
+            c, RigidTransform(c.world_from_camera.rotation, 0.99 * c.world_from_camera.translation)
+        )
+        for name, c in CAMERAS.items()
+    }
+    cause = first(diagnosed(stated=far))
+    assert (cause.cause, cause.of) == (Word.SCALE, ALL)
+    assert cause.estimate == pytest.approx(0.99, abs=0.002)
+    small = RAVEN.with_centers(0.99 * RAVEN.centers)
+    cause = first(diagnosed(body=small))
+    assert cause.cause is Word.PLACE or f"{Word.PLACE} of {ALL}" in cause.rivals
+
+
+def test_one_ball_out_of_its_place():
+    off = RAVEN.with_centers(RAVEN.centers + np.array([[0, 0, 0], [0, 2.0, 0], [0, 0, 0]]))
+    cause = first(diagnosed(body=off))
+    assert (cause.cause, cause.of) == (Word.PLACE, RAVEN.names[1])
+    assert cause.estimate == pytest.approx(2.0, abs=0.3)
+
+
+def test_of_two_cameras_either_may_be_wrong():
+    two = {name: CAMERAS[name] for name in ("cam0", "cam1")}
+    found = diagnosed(stated=two, real=lambda k: turned("cam1", [0.004, 0, 0]))
+    if found.causes:
+        assert any("cam0" in rival or "cam1" in rival for rival in first(found).rivals)
+
+
+def test_what_nothing_explains_is_unknown():
+    shake = np.random.default_rng(5).normal(0, 0.006, (COUNT, 2))
+    found = diagnosed(real=lambda k: turned("cam1", [*shake[k], 0]))
+    cause = first(found)
+    assert (cause.cause, cause.of) == (Word.UNKNOWN, "cam1")
+    assert found.unexplained
