@@ -270,10 +270,10 @@ def _logs_or_tool_poses(
     tracks: Sequence[PoseTrack], logs: Sequence[Path], schema: StateSchema, topic: str | None
 ) -> list[StateLog]:
     """The robot's logs; those that hold the tool's pose and no joints become pairs of poses."""
-    from measure.robots.tool_poses import holds_tool_poses, read_tool_poses
     from measure_learning.core.stops import is_sparse
     from measure_learning.robots.logs import is_table, of_instants
     from measure_learning.robots.tables import TableFile
+    from measure_learning.robots.tool_poses import holds_tool_poses, read_tool_poses
 
     if is_sparse(tracks[0]):
         schema = of_instants(logs[0], schema, tracks[0].measured().times_s)

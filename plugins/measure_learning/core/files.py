@@ -17,11 +17,11 @@ from measure.host import Dataset
 from measure.results import read_run
 from measure.results.tables import PLACE
 from measure.robots import StateSchema
-from measure.robots.tool_poses import holds_tool_poses, tool_pose_states
 from measure_learning.core.assemble import PoseTrack, TrajectoryFacts
 from measure_learning.core.scores import Score
 from measure_learning.robots import ROBOT_KEY, feature_columns
 from measure_learning.robots.tables import Table
+from measure_learning.robots.tool_poses import holds_tool_poses, tool_pose_states
 
 _KEY = b"measure.schema"
 _ERRORS = ("ex_mm", "ey_mm", "ez_mm")

@@ -13,7 +13,6 @@ from measure.errors import EstimatorError
 from measure.geometry import skew
 from measure.robots import SerialChain, StateSchema
 from measure.robots.chain import TURNS, link_names
-from measure.robots.tool_poses import ToolPoses
 from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, fit_frames
 from measure_learning.core.frames import RobotFrame
 from measure_learning.core.judged_frames import judgement
@@ -22,6 +21,7 @@ from measure_learning.core.sightings import Recording as Recording
 from measure_learning.core.sightings import clock_of, moving, own_delays_s, rough_clock_of
 from measure_learning.core.slips import changed, explain
 from measure_learning.core.stops import LEAST_STOPS, Stops, at_rest, is_sparse, stop_sightings
+from measure_learning.robots.tool_poses import ToolPoses
 
 _LEAST_POSES, _LEAST_S = 30, 15.0
 _LEAST_WAY_MM = 20.0  # across the longest way, of a robot without known kinematics
