@@ -10,15 +10,16 @@ import numpy as np
 from measure.arrays import Floats
 from measure.checking.causes import ALL, Cause, Word
 from measure.checking.clocks import CameraClock
-from measure.checking.evidence import Evidence
+from measure.checking.evidence import SEARCHED_PX, TRACKED_PX, Evidence
 from measure.checking.explaining import Explanation, explain, worst_camera
 from measure.checking.finding import Level
 from measure.checking.hypotheses import Hypothesis
 
 _EXPLAINED = 0.5
 """Share that a cause explains, below which nothing that is known is named first."""
-_UNEXPLAINED = 1.0
-"""Mean square of residuals, in their stated variances, that no healthy recording leaves."""
+_UNEXPLAINED = {TRACKED_PX: 1.0, SEARCHED_PX: 2.0}
+"""Mean square of residuals, in their stated variances, that no healthy recording leaves, by how
+its balls were found: 0.1 to 0.4, and up to 0.6."""
 _CLOCK_WRONG_S, _CLOCK_NAMED_S = 0.002, 0.0005
 _RADIUS_WRONG = 0.05  # Share of a radius that no outline's bias is: less is measured with
 
@@ -36,7 +37,7 @@ class Diagnosis:
     @property
     def unexplained(self) -> bool:
         """Whether more is left than any healthy recording leaves."""
-        return self.left > _UNEXPLAINED
+        return self.left > _UNEXPLAINED[SEARCHED_PX]
 
 
 def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
@@ -46,7 +47,8 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
     found, misfit, fit = explain(evidence)
     causes = [cause for one in found if (cause := _cause(evidence, one, squares)) is not None]
     left = 0.0 if fit is None else fit.left
-    if fit and left > _UNEXPLAINED and sum(one.explains for one in found[:1]) < _EXPLAINED:
+    most = _UNEXPLAINED[evidence.systematic_px]
+    if fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
         causes.insert(0, _unknown(worst_camera(evidence, fit), causes))
     return Diagnosis(tuple(causes), misfit, left)
 

@@ -7,6 +7,7 @@ off; `Evidence.linearised` gives both derivatives.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -285,6 +286,7 @@ def altered(camera: Camera, change: Floats) -> Camera:
 
 
 MOST_INSTANTS, _FEWEST = 60, 5
+_AGREEING = 2  # Balls that agree with the pose, from which a camera's others are other things
 _LIKELY_RATIO = 1.6
 """Largest factor of an outline's size that a far zoomed camera may show of a ball."""
 
@@ -365,11 +367,17 @@ def _seen_there(
     body: Body,
     cameras: Sequence[Camera],
 ) -> list[Detection]:
-    """Of each camera and ball the candidate where it should be, else the best of about its size."""
-    seen = {(d.camera, d.ball): d for d in (*sample.nearest, *sample.agreeing)}
+    """What agrees with the pose; of a camera with less than two such balls what is near, or alike.
+
+    That is the candidate nearest to where a ball should be, else the best of about its size.
+    """
+    seen = {(d.camera, d.ball): d for d in sample.agreeing}
+    agreeing = Counter(camera for camera, _ in seen)
+    lost = {camera.name for camera in cameras if agreeing[camera.name] < _AGREEING}
+    seen |= {(d.camera, d.ball): d for d in sample.nearest if d.camera in lost}
     assert sample.world_from_body is not None
     centers = sample.world_from_body.apply(body.centers)
-    for camera in cameras:
+    for camera in (camera for camera in cameras if camera.name in lost):
         away = np.linalg.norm(centers - camera.center, axis=1)
         for k, ball in enumerate(body.balls):
             radius_px = camera.intrinsics.focal_px * ball.radius_mm / away[k]
