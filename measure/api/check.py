@@ -161,7 +161,8 @@ def _together(
 ) -> list[Cause]:
     """Causes from all sources, the most certain first; what another explains is left out."""
     known = [c for c in diagnosis.causes if c.cause is not Word.UNKNOWN and c.explains > _MOST]
-    elsewhere = [c for c in disagreeing_causes(searched) if c.of not in {k.of for k in known}]
+    blamed = {cause.of for cause in known}
+    elsewhere = [c for c in disagreeing_causes(searched) if not blamed & {ALL, c.of}]
     rest = [*elsewhere, *diagnosis.causes]
     if not known:
         rest = elsewhere or list(shape) or list(diagnosis.causes) or list(sized)

@@ -219,7 +219,7 @@ def _point(part: _Part) -> _Told:
     whose = f"{part.who}: its principal point is"
     if not part.hypothesis.of:
         whose = "the principal points of all cameras are"
-    text = f"{whose} ({x:+.1f}, {y:+.1f}) +- {part.sd:.1f} px off"
+    text = f"{whose} ({x:+.1f}, {y:+.1f}) +- {part.sd:.1f} px off calibration"
     return part.size, part.sd, "px", text, "is another crop or resolution set? calibrate the lens"
 
 

@@ -133,7 +133,7 @@ def test_check_tells_a_body_of_another_size(scene, rendered, tmp_path, capsys):
     found = checked(rendered, misstated_body(scene, small).stated_body, tmp_path, capsys)
     said = wrong(found)
     assert "+-" in said
-    assert number(r"the balls are ([\d.]+) times as far apart", said) == pytest.approx(
+    assert number(r"the balls are ([\d.]+) \+- \S+ times as far apart", said) == pytest.approx(
         38 / 33, abs=4e-3
     )
     assert number(r"([\d.]+) mm from the origin, not 33.00 mm", said) == pytest.approx(38, abs=0.15)
