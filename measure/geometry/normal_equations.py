@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from measure.arrays import Floats
@@ -11,8 +9,6 @@ from measure.arrays import Floats
 UNDETERMINED = 1e-12
 """Eigenvalues of a normal matrix this small, as a share of the largest, are rounding."""
 _ROUNDING = 1e-15
-_LEAST_PART = 0.05
-"""Of a direction (squares), from which a parameter is named: less may be of rounding and noise."""
 
 
 def symmetric_inverse(matrix: Floats) -> Floats:
@@ -51,13 +47,6 @@ def undetermined(matrix: Floats, largest_sd: Floats) -> Floats:
     """
     values, axes = np.linalg.eigh(matrix * largest_sd[:, None] * largest_sd)
     return np.asarray(axes[:, values < 1.0] * largest_sd[:, None])
-
-
-def undetermined_names(matrix: Floats, largest_sd: Floats, names: Sequence[str]) -> tuple[str, ...]:
-    """Names of the parameters that take part in what is not determined, the most open one first."""
-    shares = np.sum((undetermined(matrix, largest_sd) / largest_sd[:, None]) ** 2, axis=1)
-    order = np.argsort(-shares, kind="stable")
-    return tuple(names[k] for k in order if shares[k] > _LEAST_PART)
 
 
 def _unit_scale(matrix: Floats) -> Floats:

@@ -26,8 +26,12 @@ class _FrameFile(FileModel):
     model_config = ConfigDict(extra="ignore")
 
     world_from_base: StatedTransform
+    eye_in_hand: bool = False
 
 
 def read_robot_base(path: Path) -> RigidTransform:
     """`world_from_base` of a `frame.toml`; EstimatorError: missing or wrong, with the line."""
-    return load_toml(path, _FrameFile, EstimatorError).world_from_base.transform()
+    file = load_toml(path, _FrameFile, EstimatorError)
+    if file.eye_in_hand:
+        raise EstimatorError(f"{path}: is of cameras on the flange: no run is in its base")
+    return file.world_from_base.transform()

@@ -56,7 +56,7 @@ class Sightings:
         """Number of links' errors."""
         return 6 * self.chain.size if self.chain else 0
 
-    def take(self, rows: Ints | Bools) -> Sightings:
+    def take(self, rows: Ints | Bools | slice) -> Sightings:
         """Some of them."""
         by_row = ("recording", "reported_mm", "joints", "rates")
         taken = {name: getattr(self, name)[rows] for name in by_row}
@@ -161,7 +161,7 @@ def _agree(fit: FrameFit, seen: Sightings, kept: Bools) -> Bools:
     """Which poses (n,) are within six standard deviations, by the usual size of the kept ones."""
     near = LinearModel.of(fit, seen)
     squares, size = squared_mahalanobis(near.residuals, near.covariances), near.residuals.shape[1]
-    usual = np.median(squares[kept]) / chi_square_quantile(0.5, size)
+    usual = float(np.median(squares[kept])) / chi_square_quantile(0.5, size)
     if seen.apart:  # few poses are met better than others like them would be
         usual = max(usual, fit.noise)
     return np.asarray(squares <= _OUTLIER_SDS**2 * size / 3 * max(usual, 1e-12))

@@ -82,17 +82,17 @@ def _expected(fit: FrameFit, rest: Sightings, kinematics: bool) -> float:
     What links do to the frames is undone by what they do to the poses, as far as these are alike.
     """
     near = LinearModel.of(fit, rest)
-    P, slopes = fit.covariance, near.slopes[:, :3]
-    links = np.zeros((len(P), len(fit.links)))
+    P, slopes, by_links = fit.covariance, near.slopes[:, :3], 0.0
+    free = len(P)
     if not kinematics:
-        links[:FRAMES] = fit.frames_by_links
-        P = P - links @ links.T
-        by_links = slopes[:, :, slopes.shape[2] - links.shape[1] :] * fit.link_sd
-        links = by_links - slopes[:, :, : len(P)] @ links
-    slopes = slopes[:, :, : len(P)]
+        moved = np.zeros((free, len(fit.links)))  # frames and clocks, by one SD of the links
+        moved[:FRAMES] = fit.frames_by_links
+        P = P - moved @ moved.T
+        left = slopes[:, :, free:] * fit.link_sd - slopes[:, :, :free] @ moved
+        by_links = float(np.sum(left**2)) / len(slopes)
+    slopes = slopes[:, :, :free]
     frames = np.einsum("nap,pq,naq->n", slopes, P, slopes, optimize=True)
     noise = np.trace(near.covariances[:, :3, :3], axis1=1, axis2=2) * fit.noise
-    by_links = 0.0 if kinematics else float(np.sum(links**2)) / len(slopes)
     return float(np.mean(frames + noise)) + by_links
 
 

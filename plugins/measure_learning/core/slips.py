@@ -77,6 +77,12 @@ def explain(seen: Sightings, joint_names: Sequence[str], eye_in_hand: bool = Fal
     )
 
 
+def _size_mm(residuals: Floats) -> float:
+    """RMS of residuals (n, 3 or 6) in mm, turns at a lever."""
+    levers = np.repeat([1.0, _LEVER_MM], 3)[: residuals.shape[1]]
+    return float(rms_length(residuals * levers))
+
+
 def _some(count: int, most: int) -> slice:
     return slice(None, None, -(-count // most))
 
@@ -87,8 +93,7 @@ def _left_mm(seen: Sightings) -> float:
         fit = fit_frames(seen, kinematics=False)
     except (np.linalg.LinAlgError, DegenerateGeometryError):
         return float("inf")
-    r = fit.residuals(seen.take(fit.kept))
-    return float(rms_length(r * np.repeat([1.0, _LEVER_MM], 3))) / max(fit.kept.mean(), 1e-3)
+    return _size_mm(fit.residuals(seen.take(fit.kept))) / max(float(fit.kept.mean()), 1e-3)
 
 
 def _slips(seen: Sightings, names: Sequence[str], eye_in_hand: bool) -> Iterator[_Slip]:
@@ -165,7 +170,7 @@ def _with_joints(seen: Sightings, chain: SerialChain, order: list[int], signs: F
 def changed(fit: FrameFit, seen: Sightings) -> str | None:
     """A scale of the cameras, or a jump of the world or of the body, that explains what is left."""
     near = LinearModel.of(fit, seen)
-    size, before = near.residuals.shape[1], rms_length(near.residuals[:, :3])
+    size, before = near.residuals.shape[1], _size_mm(near.residuals)
     places = seen.poses.world_from_body.translation
     by_scale = np.zeros((len(places), size, 1))
     by_scale[:, :3, 0] = places - places.mean(axis=0)
@@ -175,7 +180,7 @@ def changed(fit: FrameFit, seen: Sightings) -> str | None:
     left, x, what, at_s = min(found, key=lambda one: one[0])
     if not left < _EXPLAINED * before:
         return None
-    words = f"{left:.2f} mm are left then, {before:.2f} mm as it is"
+    words = f"{left:.2f} mm are left then, {before:.2f} mm as it is (turns at {_LEVER_MM:g} mm)"
     if not what:
         if not _LEAST_SCALE < abs(x[0]) < _MOST_SCALE:
             return None
@@ -209,7 +214,8 @@ def _jumps(
     for recording in range(len(seen.shared)):
         rows = np.flatnonzero(seen.recording == recording)
         times = seen.poses.times_s[rows]
-        cuts = np.quantile(times, np.linspace(_EDGE, 1 - _EDGE, _CUTS)) if len(rows) else []
+        shares = np.linspace(_EDGE, 1 - _EDGE, _CUTS if len(rows) else 0)
+        cuts = np.quantile(times, shares).tolist() if len(rows) else list[float]()
         for (what, slopes), cut in itertools.product(whats, cuts):
             late = (seen.recording == recording) & (seen.poses.times_s >= cut)
             yield *_left_with(near, slopes * late[:, None, None], fit, seen), what, float(cut)
@@ -228,4 +234,4 @@ def _left_with(
     g = np.einsum("nap,ab,nb->p", slopes, weights, r, optimize=True)
     known = np.concatenate([precision(seen, fit.link_sd)[:free], np.zeros(extra.shape[2])])
     x = posterior_covariance(N, known) @ g
-    return float(rms_length((r - slopes @ x)[:, :3])), x[free:]
+    return _size_mm(r - slopes @ x), x[free:]

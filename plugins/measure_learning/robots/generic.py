@@ -3,117 +3,36 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from xml.etree import ElementTree as ET
 
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, ValidationError, model_validator
 
-from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.reading import LARGEST, FileModel, parse_toml, read_text, read_toml_text
+from measure.reading import parse_toml, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
 from measure.robots.schema import UNITS_S, Feature, LogFormat, OtherNames, Reading, StateSchema
-
-_TURNS, _SLIDES, _STILL = ("revolute", "continuous"), "prismatic", "fixed"
-_MOST_BYTES = 8 << 20
-
-
-def read_urdf(
-    path: Path, base: str | None = None, tip: str | None = None
-) -> tuple[tuple[str, ...], SerialChain]:
-    """Names of the moving joints from the base link to the tip, and their chain.
-
-    The base is the root if absent, the tip the only link without a child. EstimatorError: no URDF,
-    no such links, several tips, or a joint of another kind than revolute, continuous, prismatic and
-    fixed, or coupled to another one.
-    """
-    names, joints = [], list[Joint]()
-    link = np.eye(4)
-    for element in _path(path, base, tip):
-        link = link @ _origin(path, element)
-        kind, name = element.get("type"), element.get("name", "")
-        if kind == _STILL:
-            continue
-        if kind not in (*_TURNS, _SLIDES) or element.find("mimic") is not None:
-            how = "mimics another joint" if kind in (*_TURNS, _SLIDES) else f"is {kind}"
-            raise EstimatorError(
-                f"{path}: joint '{name}' {how}: a chain of single joints is needed"
-            )
-        axis = _numbers(path, element.find("axis"), "xyz", "1 0 0")
-        length = float(np.linalg.norm(axis))
-        if not length > 0:
-            raise EstimatorError(f"{path}: joint '{name}' has an axis of length 0")
-        names.append(name)
-        joints.append(Joint(link, axis / length, kind == _SLIDES))
-        link = np.eye(4)
-    if not joints:
-        raise EstimatorError(f"{path}: no joint moves between {base or 'the root'} and the tip")
-    return tuple(names), SerialChain(tuple(joints), link)
-
-
-def _path(path: Path, base: str | None, tip: str | None) -> Iterator[ET.Element]:
-    """The joints from base to tip."""
-    try:
-        root = ET.fromstring(read_text(path, EstimatorError, _MOST_BYTES))
-    except ET.ParseError as problem:
-        raise EstimatorError(f"{path}: no URDF: {problem} (xacro must be expanded)") from None
-    by_child = {_link(joint, "child"): joint for joint in root.findall("joint")}
-    parents = {_link(joint, "parent") for joint in by_child.values()}
-    leaves = sorted(by_child.keys() - parents)
-    if tip is None and len(leaves) != 1:
-        raise EstimatorError(
-            f"{path}: name the link of the tip (tip = ...): its chains end in "
-            f"{', '.join(leaves) or 'no link'}"
-        )
-    found = list[ET.Element]()
-    at = tip or leaves[0]
-    while at in by_child and at != base and len(found) <= len(by_child):
-        found.append(by_child[at])
-        at = _link(found[-1], "parent")
-    if not found or (base is not None and at != base) or (at in by_child and base is None):
-        raise EstimatorError(
-            f"{path}: no chain leads from link '{base or 'root'}' to '{tip or leaves[0]}'; its "
-            f"links: {', '.join(sorted(by_child.keys() | parents))}"
-        )
-    yield from reversed(found)
-
-
-def _link(joint: ET.Element, which: str) -> str:
-    element = joint.find(which)
-    return "" if element is None else element.get("link", "")
-
-
-def _origin(path: Path, joint: ET.Element) -> Floats:
-    """Parent-from-child transform (4, 4) in mm at joint position 0; angles roll, pitch, yaw."""
-    origin = joint.find("origin")
-    shift = 1e3 * _numbers(path, origin, "xyz", "0 0 0")
-    turn = RigidTransform.identity()
-    for axis, angle in zip(np.eye(3), _numbers(path, origin, "rpy", "0 0 0"), strict=True):
-        turn = RigidTransform.from_rotvec(angle * axis) @ turn
-    return RigidTransform(turn.rotation, shift).matrix
-
-
-def _numbers(path: Path, element: ET.Element | None, key: str, default: str) -> Floats:
-    text = default if element is None else element.get(key, default)
-    try:
-        values = np.array([float(part) for part in text.split()])
-    except ValueError:
-        values = np.array([np.nan])
-    if len(values) != 3 or not (np.abs(values) <= LARGEST).all():
-        raise EstimatorError(f'{path}: {key}="{text[:60]}" is not three numbers within {LARGEST:g}')
-    return values
-
+from measure_learning.robots.urdf import Follows, read_urdf
 
 BUILTIN = Path(__file__).with_name("builtin")
 _FACTORS = {"rad": 1.0, "deg": np.pi / 180, "m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3}
 _SMALLEST_REACH_MM, _LARGEST_REACH_MM = 5.0, 2e4
 # Names that many programs give to joint positions, counted from 0 or 1; with their unit behind.
-_JOINT_NAMES = ("q[{0}]", "q{1}", "q_{1}", "q_{0}", "joint_{1}", "joint{1}", "joint_{0}", "j{1}")
+_JOINT_NAMES = (
+    "actual_q_{0}",
+    "q[{0}]",
+    "q{1}",
+    "q_{1}",
+    "q_{0}",
+    "joint_{1}",
+    "joint{1}",
+    "joint_{0}",
+    "j{1}",
+)
 _POSITION_NAMES = (("x_mm", "y_mm", "z_mm"), ("x_m", "y_m", "z_m"))
 
 
@@ -234,7 +153,8 @@ def _values(path: Path) -> dict[str, Any]:
 
 
 def _schema(path: Path, file: _Robot) -> StateSchema:
-    names, chain = _chain(path, file)
+    follows, chain = _chain(path, file)
+    names = tuple(dict.fromkeys(one.feature for one in follows))
     if chain is None and (file.position is None or not file.features):
         raise EstimatorError(
             f"{path}: name the features and the position, or give the joints' links or a urdf"
@@ -242,8 +162,10 @@ def _schema(path: Path, file: _Robot) -> StateSchema:
     position = tuple(file.position or ("x_mm", "y_mm", "z_mm"))
     features = [Feature(column.name, column.unit) for column in file.features]
     if chain is not None and not file.features:
-        units = ("m" if joint.prismatic else "rad" for joint in chain.joints)
-        features = [Feature(name, unit) for name, unit in zip(names, units, strict=True)]
+        units = dict[str, str]()
+        for one, joint in zip(follows, chain.joints, strict=True):
+            units.setdefault(one.feature, "m" if joint.prismatic else "rad")
+        features = [Feature(name, units[name]) for name in names]
     if file.position is None:
         features += [Feature(name, "mm") for name in position]
     units_of = {feature.name: feature.unit for feature in features}
@@ -255,34 +177,46 @@ def _schema(path: Path, file: _Robot) -> StateSchema:
         robot=file.robot,
         features=tuple(features),
         position=(x, y, z),
-        joints=_readings(path, file, names, units_of),
+        joints=_readings(path, file, follows, chain, units_of),
         coupled=tuple(file.coupled),
         chain=chain,
         groups={key: v for key, v in (("joints", names), ("position", position)) if v},
         log=_log(file, names, position),
     )
     schema.index([*position, *names])
-    if wrong := [index for index in file.coupled if not 0 <= index < len(names)]:
+    if wrong := [index for index in file.coupled if not 0 <= index < len(follows)]:
         raise EstimatorError(
-            f"{path}: coupled names joint {wrong[0]}; there are {len(names)}, from 0 on"
+            f"{path}: coupled names joint {wrong[0]}; there are {len(follows)}, from 0 on"
         )
     return schema
 
 
 def _readings(
-    path: Path, file: _Robot, names: Sequence[str], units_of: dict[str, str]
+    path: Path,
+    file: _Robot,
+    follows: Sequence[Follows],
+    chain: SerialChain | None,
+    units_of: dict[str, str],
 ) -> tuple[Reading, ...]:
     """Joints from their features: by the stated scales, else by the features' units."""
-    scales = [joint.scale for joint in file.joints] or [None] * len(names)
+    scales = [joint.scale for joint in file.joints] or [None] * len(follows)
+    slides = [joint.prismatic for joint in chain.joints] if chain else [None] * len(follows)
     out = []
-    for name, scale in zip(names, scales, strict=True):
+    for one, scale, sliding in zip(follows, scales, slides, strict=True):
+        name = one.feature
         factor = _FACTORS.get(units_of.get(name, ""))
         if scale and factor and not 0.99 < scale / factor < 1.01:
             raise EstimatorError(
                 f"{path}: the scale {scale:g} of joint '{name}' is not that of its unit "
                 f"{units_of[name]}, {factor:.6g}: leave one of them out"
             )
-        out.append(Reading.of(name, scale or factor or 1.0))
+        own = (
+            scale or factor or 1.0
+        )  # of the feature's own kind: of a slide to mm, of a turn to rad
+        slides_itself = units_of.get(name, "") in ("m", "cm", "mm", "um")
+        if sliding is not None and sliding != slides_itself and one.ratio != 1.0:
+            own *= 1e3 if sliding else 1e-3
+        out.append(Reading.of(name, own * one.ratio))
     return tuple(out)
 
 
@@ -316,9 +250,9 @@ def _named(features: tuple[str, ...], names: str | list[str], scale: float) -> O
     return OtherNames(features, tuple(columns), scale, more)
 
 
-def _chain(path: Path, file: _Robot) -> tuple[tuple[str, ...], SerialChain | None]:
-    """Names of the joints' features, and the chain, if it is known."""
-    names = tuple(joint.feature for joint in file.joints)
+def _chain(path: Path, file: _Robot) -> tuple[tuple[Follows, ...], SerialChain | None]:
+    """What the joints follow, and the chain, if it is known."""
+    names = tuple(Follows(joint.feature) for joint in file.joints)
     tool = RigidTransform.from_rotvec(np.deg2rad(file.tool_rotvec_deg), file.tool_mm).matrix
     if file.urdf is not None:
         names, chain = read_urdf(path.with_name(file.urdf), file.base, file.tip)

@@ -14,7 +14,6 @@ from measure.errors import EstimatorError
 from measure.reading import TIME
 from measure.robots.headings import by_place
 from measure.robots.schema import (
-    Clock,
     FeatureColumns,
     RobotLog,
     StateSchema,
@@ -24,6 +23,7 @@ from measure.robots.schema import (
     reported_mm,
 )
 from measure_learning.robots.generic import BUILTIN, read_schema
+from measure_learning.robots.log_clock import Clock
 from measure_learning.robots.raven import raven_schema
 
 if TYPE_CHECKING:

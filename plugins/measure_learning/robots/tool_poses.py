@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.robots.chain import Joint, SerialChain
-from measure.robots.schema import Clock, Feature, Reading, RobotLog, StateSchema
+from measure.robots.schema import Feature, Reading, RobotLog, StateSchema
+from measure_learning.robots.log_clock import Clock
 from measure_learning.robots.tables import Table
 
 _SLIDES, _TURNS = ("x", "y", "z"), ("rz", "ry", "rx")

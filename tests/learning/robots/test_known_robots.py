@@ -104,7 +104,11 @@ def test_tables_agree_with_the_makers_urdf(robot: str, tmp_path: Path) -> None:
     ("change", "message"),
     [
         (('type="revolute"', 'type="planar"'), "joint 'joint_0' is planar"),
-        (('<axis xyz="0 0 1"/>', '<mimic joint="joint_1"/>'), "joint_0' mimics another joint"),
+        (
+            ('<axis xyz="0 0 1"/>', '<mimic joint="joint_1" multiplier="x"/>'),
+            'mimic multiplier="x" is no number',
+        ),
+        (('xyz="0 0 1"', 'xyz="0 0 ${z}"'), "xacro that is not expanded: run `xacro"),
         (('child link="link_3"', 'child link="hand"'), "name the link of the tip.*hand, link_7"),
         (("</robot>", ""), "no URDF: .*xacro must be expanded"),
         (('xyz="0 0 1"', 'xyz="0 0 up"'), 'xyz="0 0 up" is not three numbers'),

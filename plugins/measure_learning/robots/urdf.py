@@ -1,0 +1,144 @@
+"""The chain of a robot's joints as a URDF describes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+from measure.geometry import RigidTransform
+from measure.reading import LARGEST, read_text
+from measure.robots.chain import Joint, SerialChain
+
+_TURNS, _SLIDES, _STILL = ("revolute", "continuous"), "prismatic", "fixed"
+_MOST_BYTES = 8 << 20
+_EXPAND = "{0}: holds xacro that is not expanded: run `xacro {0} > arm.urdf`, and give arm.urdf"
+
+
+@dataclass(frozen=True)
+class Follows:
+    """How a chain's joint follows a joint of the robot: value = ratio * feature, in rad or m."""
+
+    feature: str  # a joint's name; its own, but of one that mimics another
+    ratio: float = 1.0
+
+
+def read_urdf(
+    path: Path, base: str | None = None, tip: str | None = None
+) -> tuple[tuple[Follows, ...], SerialChain]:
+    """What the moving joints from the base link to the tip follow, and their chain.
+
+    The base is the root if absent, the tip the only link without a child. A joint that mimics
+    another one, as those of parallelograms and four-bar linkages do, follows it; what it is ahead
+    by is in its link. EstimatorError: no URDF, no such links, several tips, or a joint of another
+    kind than revolute, continuous, prismatic and fixed.
+    """
+    names, joints = list[Follows](), list[Joint]()
+    link = np.eye(4)
+    for element in _path(path, base, tip):
+        link = link @ _origin(path, element)
+        kind, name = element.get("type"), element.get("name", "")
+        if kind == _STILL:
+            continue
+        if kind not in (*_TURNS, _SLIDES):
+            raise EstimatorError(
+                f"{path}: joint '{name}' is {kind}: a chain of single joints is needed"
+            )
+        axis = _numbers(path, element.find("axis"), "xyz", "1 0 0")
+        length = float(np.linalg.norm(axis))
+        if not length > 0:
+            raise EstimatorError(f"{path}: joint '{name}' has an axis of length 0")
+        axis /= length
+        follows, ahead = _mimicked(path, element, name)
+        if kind == _SLIDES:
+            link = link @ RigidTransform(np.eye(3), 1e3 * ahead * axis).matrix
+        else:
+            link = link @ RigidTransform.from_rotvec(ahead * axis).matrix
+        names.append(follows)
+        joints.append(Joint(link, axis, kind == _SLIDES))
+        link = np.eye(4)
+    if not joints:
+        raise EstimatorError(f"{path}: no joint moves between {base or 'the root'} and the tip")
+    return tuple(names), SerialChain(tuple(joints), link)
+
+
+def _mimicked(path: Path, joint: ET.Element, name: str) -> tuple[Follows, float]:
+    """What a joint follows, and by how much it is ahead, rad or m; of itself if it is free."""
+    mimic = joint.find("mimic")
+    if mimic is None:
+        return Follows(name), 0.0
+    values = []
+    for key, usual in (("multiplier", "1"), ("offset", "0")):
+        try:
+            values.append(float(mimic.get(key, usual)))
+        except ValueError:
+            values.append(np.nan)
+        if not abs(values[-1]) <= LARGEST:
+            raise EstimatorError(
+                f"{path}: joint '{name}': mimic {key}=\"{mimic.get(key, '')[:60]}\" is no number "
+                f"within {LARGEST:g}"
+            )
+    return Follows(mimic.get("joint", ""), values[0]), values[1]
+
+
+def _path(path: Path, base: str | None, tip: str | None) -> Iterator[ET.Element]:
+    """The joints from base to tip."""
+    text = read_text(path, EstimatorError, _MOST_BYTES)
+    if "<xacro:" in text:
+        raise EstimatorError(_EXPAND.format(path))
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as problem:
+        raise EstimatorError(f"{path}: no URDF: {problem} (xacro must be expanded)") from None
+    by_child = {_link(joint, "child"): joint for joint in root.findall("joint")}
+    parents = {_link(joint, "parent") for joint in by_child.values()}
+    leaves = sorted(by_child.keys() - parents)
+    if tip is None and len(leaves) != 1:
+        raise EstimatorError(
+            f"{path}: name the link of the tip (tip = ...): its chains end in "
+            f"{', '.join(leaves) or 'no link'}"
+        )
+    found = list[ET.Element]()
+    at = tip or leaves[0]
+    while at in by_child and at != base and len(found) <= len(by_child):
+        found.append(by_child[at])
+        at = _link(found[-1], "parent")
+    if not found or (base is not None and at != base) or (at in by_child and base is None):
+        raise EstimatorError(
+            f"{path}: no chain leads from link '{base or 'root'}' to '{tip or leaves[0]}'; its "
+            f"links: {', '.join(sorted(by_child.keys() | parents))}"
+        )
+    yield from reversed(found)
+
+
+def _link(joint: ET.Element, which: str) -> str:
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")
+
+
+def _origin(path: Path, joint: ET.Element) -> Floats:
+    """Parent-from-child transform (4, 4) in mm at joint position 0; angles roll, pitch, yaw."""
+    origin = joint.find("origin")
+    shift = 1e3 * _numbers(path, origin, "xyz", "0 0 0")
+    turn = RigidTransform.identity()
+    for axis, angle in zip(np.eye(3), _numbers(path, origin, "rpy", "0 0 0"), strict=True):
+        turn = RigidTransform.from_rotvec(angle * axis) @ turn
+    return RigidTransform(turn.rotation, shift).matrix
+
+
+def _numbers(path: Path, element: ET.Element | None, key: str, default: str) -> Floats:
+    text = default if element is None else element.get(key, default)
+    try:
+        values = np.array([float(part) for part in text.split()])
+    except ValueError:
+        values = np.array([np.nan])
+    if "${" in text or "$(" in text:
+        raise EstimatorError(_EXPAND.format(path))
+    if len(values) != 3 or not (np.abs(values) <= LARGEST).all():
+        raise EstimatorError(f'{path}: {key}="{text[:60]}" is not three numbers within {LARGEST:g}')
+    return values
