@@ -1,7 +1,7 @@
 """All a plugin author needs to read: interfaces, the hooks, and how plugins are found."""
 
 from measure.host.dataset import Dataset
-from measure.host.estimator import Correction, Epoch, Estimator, LeftOut, Report
+from measure.host.estimator import Correction, Epoch, Estimator, LeftOut, Report, quiet
 from measure.host.hooks import ENTRY_POINT_GROUP, hookimpl
 from measure.host.interfaces import (
     Detector,
@@ -27,5 +27,5 @@ __all__ = [
     "OnnxEstimator", "OnnxModel", "Plugin", "PoseSolver", "Registry", "Report", "Review",
     "Scaling", "SelfCalibratingDetector", "SentPose", "SentRun", "Setting", "Settings", "Sink",
     "Tracker", "Triangulator", "Value", "describe_settings", "discover", "hookimpl", "host_port",
-    "needed", "plain_name", "plain_names", "seal", "setting",
+    "needed", "plain_name", "plain_names", "quiet", "seal", "setting",
 ]  # fmt: skip

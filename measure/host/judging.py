@@ -7,21 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
 from measure.host.dataset import Dataset
 from measure.host.onnx_graph import Graph, Value
-from measure.robots import StateSchema
 
 _CLIP_SDS = 8.0  # scaled features are clipped to this many SDs
-_STRANGE_SHARE = 0.01  # of rows that were not learnt from is called unfamiliar
-_LIMITS = 0.8, 1.5  # least and largest distance from which on a state is
+_LIMITS = 1.2, 1.35, 1.5  # distances of which one is the limit; real arms err no more below 1.2
+_LARGER = 1.5  # times as large residuals are a reason to call states unfamiliar
+_FEWEST = 30  # rows that show how large residuals are beyond such a limit
+_FARTHEST = 1.5  # the distance whose fourth power the covariance grows with: nothing shows farther
+_TRAVEL_EDGE = 0.999  # quantile of the training states' travel
 _FADING = 0.7  # of the travel, at each step of the training's rate
 _ROUND = 3.0  # recordings' worth of offsets of one size in all directions: those of a 3-D prior
-_ROUNDS, _LEAST = 6, 0.05  # of the fit of growth, and of the mean square that it may expect
-DOUBTS = 4  # range, distance, travel, spread: what the covariance may grow with
+_ROUNDS, _LEAST = 12, 0.05  # of the fit of growth, and of the mean square that it may expect
+_REGION_95 = 7.815 / 3.0  # 95 % quantile of chi squared with three degrees of freedom, per axis
+DOUBTS = 3  # what the covariance may grow with, see `doubts_in_graph`
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +94,21 @@ class Novelty:
 
 @dataclass(frozen=True, eq=False)
 class Travel:
-    """How far joints (or the tip) moved lately, in their SDs; long moves leave larger errors."""
+    """How far joints (or the tip) moved lately, 1 where hardly a state learnt from moved farther.
 
-    reading: Floats  # (features, joints) from a state to scaled joints
+    A kind of motion may be new where no single state is.
+    """
+
+    reading: Floats  # (features, joints) from a state to joints over the travel's edge
 
     @classmethod
-    def of(cls, schema: StateSchema, states: Floats) -> Travel:
+    def of(cls, data: Dataset) -> Travel:
         """Scaled by training states."""
-        reading = schema.reading_matrix(schema.joints or schema.position)
-        return cls(reading / np.maximum((states @ reading).std(axis=0), 1e-9))
+        reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
+        reading = reading / np.maximum((data.states @ reading).std(axis=0), 1e-9)
+        moved = [_faded(data.states[rows] @ reading) for _, rows in data.runs()]
+        edge = float(np.quantile(np.concatenate(moved), _TRAVEL_EDGE))
+        return cls(reading / max(edge, 1e-3))
 
     @property
     def size(self) -> int:
@@ -120,6 +130,22 @@ class Travel:
         return travel, graph.op("Concat", graph.ones_like(started), kept, axis=1)
 
 
+def _faded(joints: Floats) -> Floats:
+    """Travel (n,) of one trajectory (n, joints), as the graph computes it."""
+    from scipy.signal import lfilter  # slow to load
+
+    steps = np.linalg.norm(np.diff(joints, axis=0, prepend=joints[:1]), axis=1)
+    return np.asarray(lfilter([1.0], [1.0, -_FADING], steps))
+
+
+def doubts_in_graph(graph: Graph, strangeness: Value, spread: Value, error: Value) -> Value:
+    """(N, DOUBTS): strangeness^4, the estimator's own variance and the squared correction, mm^2."""
+    near = graph.op("Min", strangeness, np.array([[_FARTHEST]]))
+    square = graph.op("Mul", near, near)
+    size = graph.op("ReduceSumSquare", error, axes=[1], keepdims=1)
+    return graph.op("Concat", graph.op("Mul", square, square), spread, size, axis=1)
+
+
 @dataclass(frozen=True, eq=False)
 class Judged:
     """Residuals of rows that were not learnt from, and what their size may depend on."""
@@ -128,7 +154,8 @@ class Judged:
     residuals_mm: Floats  # (n, 3) after it
     labels: Floats  # (n, 3, 3) covariances of the labels, mm^2
     doubts: Floats  # (n, DOUBTS)
-    offsets_mm: Floats  # (recordings, 3) means of the residuals
+    strangeness: Floats  # (n,) distance from the states learnt from, 1 at their edge
+    recording: Any  # (n,) names
 
     @classmethod
     def join(cls, parts: Sequence[Judged]) -> Judged:
@@ -143,12 +170,22 @@ class Judged:
         )
         return before, after
 
+    def offsets_mm(self) -> Floats:
+        """Means (recordings, 3) of the residuals."""
+        return np.array(
+            [self.residuals_mm[self.recording == one].mean(axis=0) for one in self.names()]
+        )
+
+    def names(self) -> Any:
+        """Of the recordings."""
+        return np.unique(self.recording)
+
 
 @dataclass(frozen=True, eq=False)
 class Trust:
     """The covariance of a correction, and the distance beyond which a state is unfamiliar.
 
-    The covariance is `moment` times (1, range, distance, travel, spread) @ `growth`, all >= 0.
+    The covariance is `moment` times (1, DOUBTS) @ `growth`, all >= 0.
     """
 
     moment: Floats
@@ -157,12 +194,20 @@ class Trust:
 
     @classmethod
     def of(cls, judged: Judged) -> Trust:
-        """Fit the second moment of the residuals, less the labels' own, and how it grows."""
-        from scipy.optimize import nnls  # slow to load
+        """Fit the second moment of the residuals, less the labels' own, and how it grows.
 
+        Recordings differ by more than their states show, so each has a level of its own while the
+        growth is fitted: what differs between them only (a kind of motion, say) explains nothing
+        within one. Then one level is taken: that of the residuals, or a higher one where the 95 %
+        region would hold less than 95 % of them (split conformal), recordings counting by the
+        root of their labels.
+        """
         residual, noise = judged.residuals_mm, judged.labels.mean(axis=0)
-        moment = residual.T @ residual / len(residual)
-        offsets, count = judged.offsets_mm, len(judged.offsets_mm)
+        names, place, counts = np.unique(judged.recording, return_inverse=True, return_counts=True)
+        weight = 1.0 / np.sqrt(counts)[place]
+        weight /= weight.sum()
+        moment = (residual * weight[:, None]).T @ residual
+        offsets, count = judged.offsets_mm(), len(names)
         offset = offsets.T @ offsets / count  # its shape, of a few, is half chance
         round_ = np.trace(offset) / 3.0 * np.eye(3)
         moment += _ROUND / (count + _ROUND) * (round_ - offset)
@@ -171,22 +216,55 @@ class Trust:
         moment = (axes * np.maximum(values, floor)) @ axes.T
         white = np.linalg.solve(moment + noise, residual.T).T
         squared = (residual * white).sum(axis=1) / 3.0
-        ingredients = np.concatenate([np.ones((len(residual), 1)), judged.doubts], axis=1)
-        limit = np.quantile(squared, 0.99)  # outliers of the label must not inflate everything
-        squared, expected = np.minimum(squared, limit), np.ones(len(squared))
-        for _ in range(_ROUNDS):  # what is expected to be large varies as much more
-            growth, _ = nnls(ingredients / expected[:, None], squared / expected)
-            expected = np.maximum(ingredients @ growth, _LEAST)
-        mean = float((ingredients @ growth).mean())
-        growth = growth / mean if mean > 0 else np.eye(DOUBTS + 1)[0]
-        distance = judged.doubts[:, :2].max(axis=1)
-        edge = float(np.quantile(distance, 1.0 - _STRANGE_SHARE))
-        return cls(moment, growth, float(np.clip(edge, *_LIMITS)))
+        growth = _growth(squared, judged.doubts, place, weight)
+        scale = np.concatenate([np.ones((len(residual), 1)), judged.doubts], axis=1) @ growth
+        growth *= max(1.0, _conformal(squared / np.maximum(scale, _LEAST), weight))
+        return cls(moment, growth, _limit(judged))
 
     def covariance(self, graph: Graph, doubts: Value) -> Value:
         """(N, 9)."""
         scale = graph.affine(doubts, self.growth[1:, None], self.growth[:1])
         return graph.op("Mul", scale, self.moment.reshape(1, 9))
+
+
+def _growth(squared: Floats, doubts: Floats, place: Ints, weight: Floats) -> Floats:
+    """Factors of a constant and the doubts, of mean squares per axis whose level is a recording's.
+
+    Iterated least squares: what is expected to be large varies as much more.
+    """
+    from scipy.optimize import nnls  # slow to load
+
+    ingredients = np.concatenate([np.ones((len(doubts), 1)), doubts], axis=1)
+    squared = np.minimum(squared, np.quantile(squared, 0.99))  # outliers of labels
+    expected, root = np.ones(len(squared)), np.sqrt(weight)
+    mass = np.bincount(place, weight)
+    level = np.ones(len(mass))
+    for _ in range(_ROUNDS):
+        scale = (root / expected)[:, None]
+        growth, _ = nnls(ingredients * scale, squared / level[place] * scale[:, 0])
+        expected = np.maximum(ingredients @ growth, _LEAST)
+        level = np.maximum(np.bincount(place, weight * squared / expected) / mass, _LEAST)
+    mean = float(weight @ (ingredients @ growth))
+    return np.asarray(growth / mean) if mean > 0 else np.eye(DOUBTS + 1)[0]
+
+
+def _conformal(squared: Floats, weight: Floats) -> float:
+    """The factor of a covariance whose 95 % region then holds 95 % of the residuals."""
+    order = np.argsort(squared)
+    reached = int(np.searchsorted(np.cumsum(weight[order]), 0.95))
+    return float(squared[order][min(reached, len(order) - 1)]) / _REGION_95
+
+
+def _limit(judged: Judged) -> float:
+    """The least distance beyond which residuals are clearly larger, or nothing is known of them."""
+    squared = (judged.residuals_mm**2).sum(axis=1)
+    for edge in _LIMITS:
+        beyond = judged.strangeness > edge
+        if beyond.sum() < _FEWEST or beyond.all():
+            return edge
+        if squared[beyond].mean() > _LARGER**2 * squared[~beyond].mean():
+            return edge
+    return _LIMITS[-1]
 
 
 UNJUDGED = Trust(np.eye(3), np.eye(DOUBTS + 1)[0], 1.0)

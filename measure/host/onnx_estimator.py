@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from measure.arrays import Floats
 from measure.errors import DivergedError, EstimatorError
 from measure.host.dataset import Dataset, recording_of
 from measure.host.estimator import Correction, Estimator, LeftOut, Report, quiet
-from measure.host.judging import DOUBTS, UNJUDGED, Judged, Novelty, Travel, Trust
+from measure.host.judging import DOUBTS, UNJUDGED, Judged, Novelty, Travel, Trust, doubts_in_graph
 from measure.host.onnx_graph import Graph, Value
 from measure.host.onnx_model import FORMAT, OnnxModel, contract
 from measure.host.settings import Settings
@@ -42,8 +43,9 @@ class OnnxEstimator(Estimator):
     Where there are several recordings, groups of them are left out in turn, and the covariance of
     a correction and what is called unfamiliar are fitted to what the others' fits leave of them;
     else to the validation trajectories. The covariance is the second moment of those residuals
-    times a sum of a constant, both distances from the states learnt from, how far the joints
-    moved lately (unless memoryless), and the spread that `compute` states, with factors >= 0.
+    times a sum of a constant, a power of the distance from the states learnt from (in range,
+    Mahalanobis, and in how far the joints moved lately, unless memoryless), the spread that
+    `compute` states, and the square of the correction, with factors >= 0.
 
     Attributes:
         memoryless: whether a correction depends on the present state alone.
@@ -102,7 +104,7 @@ class OnnxEstimator(Estimator):
         found = Judged.join(judged) if judged else self._judge(validation)
         self._trust = Trust.of(found)
         if groups:
-            self._offset_sd_mm = float(np.sqrt((found.offsets_mm**2).mean()))
+            self._offset_sd_mm = float(np.sqrt((found.offsets_mm() ** 2).mean()))
         self.left_out = LeftOut(len(data.recordings()), len(groups), *found.rms_mm())
         self._model = OnnxModel(self._build({}))
 
@@ -136,7 +138,7 @@ class OnnxEstimator(Estimator):
         self._period_s = float(np.median(known)) if len(known) else 0.0
         watched = {*self.watched(data), *(self.first.watched(data) if self.first else ())}
         self._novelty = Novelty.of(data, validation, sorted(watched))
-        self._travel = None if self.memoryless else Travel.of(data.schema, data.states)
+        self._travel = None if self.memoryless else Travel.of(data)
         self._trust, self._offset_sd_mm = UNJUDGED, None
         reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
         self._joint_sd = (data.states @ reading).std(axis=0).tolist()
@@ -176,6 +178,12 @@ class OnnxEstimator(Estimator):
             raise EstimatorError(f"estimator '{self.name}' has not been fitted: call fit first")
         return self._model
 
+    def alone(self, data: Dataset) -> Floats:
+        """Corrections (n, 3) mm by what was learnt so far, without those of `first`."""
+        twin = copy.copy(self)
+        twin.first = None
+        return OnnxModel(twin._build({})).predict(data).errors_mm  # noqa: SLF001
+
     def reset(self) -> None:
         """Forget all history."""
         self.model.reset()
@@ -194,10 +202,9 @@ class OnnxEstimator(Estimator):
             memory = _slice(graph, "memory", self._travel.size, _END)
             travel, own = self._travel.in_graph(graph, "features", own, "tick")
         core = self._compute(graph, "features", memory, "tick")
-        ranged, distance = self._novelty.in_graph(graph, "features")
-        farther = graph.op("Max", ranged, distance)
+        farther = graph.op("Max", *self._novelty.in_graph(graph, "features"), travel)
+        doubts = doubts_in_graph(graph, farther, core.spread or nothing, core.error)
         strangeness = graph.op("Mul", farther, np.float32(1.0 / self._trust.limit))
-        doubts = graph.op("Concat", ranged, distance, travel, core.spread or nothing, axis=1)
         if judging:  # the covariance's nine places carry its ingredients
             covariance = graph.op("Concat", doubts, *[nothing] * (9 - DOUBTS), axis=1)
         else:
@@ -250,8 +257,8 @@ class OnnxEstimator(Estimator):
         doubts = estimates.covariances[used].reshape(-1, 9)[:, :DOUBTS]
         left = errors - estimates.errors_mm[used]
         recordings = np.array([recording_of(name) for name in data.names])[data.trajectory[used]]
-        offsets = [left[recordings == one].mean(axis=0) for one in np.unique(recordings)]
-        return Judged(errors, left, data.covariances[used], doubts, np.array(offsets))
+        labels, far = data.covariances[used], estimates.strangeness[used]
+        return Judged(errors, left, labels, doubts, far, recordings)
 
 
 def _slice(graph: Graph, memory: Value, start: int, stop: int) -> Value:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from measure.host.judging import DOUBTS, Judged, Trust
@@ -17,10 +19,43 @@ def test_the_shape_of_six_recordings_offsets_is_not_taken_as_known() -> None:
         offsets = rng.normal(0, 0.5, (6, 3))
         left = (offsets[:, None] + rng.normal(0, 0.3, (6, ROWS, 3))).reshape(-1, 3)
         none, doubts = np.zeros((len(left), 3, 3)), np.zeros((len(left), DOUBTS))
-        trust = Trust.of(Judged(left, left, none, doubts, offsets))
+        trust = Trust.of(Judged(left, left, none, doubts, doubts[:, 0], np.repeat(range(6), ROWS)))
         new = rng.normal(0, 0.5, (100, 3)) + rng.normal(0, 0.3, (100, 3))
         length = (new * np.linalg.solve(trust.growth[0] * trust.moment, new.T).T).sum(axis=1)
         squared.append(length.mean() / 3.0)
         inside.append((length < 7.815).mean())
     assert 1.0 < np.sqrt(np.mean(squared)) < 1.17  # 1.22 if they are
     assert 0.87 < np.mean(inside) < 0.95  # 0.84
+
+
+def test_what_differs_between_recordings_only_is_no_reason_to_doubt() -> None:
+    """Simpson's paradox: a doubt of one kind of recording, which is hard for other reasons.
+
+    Within each recording the second doubt tells the size of the error, the third nothing.
+    """
+    rng = np.random.default_rng(1)
+    hard, rows = np.repeat([1.0, 1.0, 1.0, 3.0], 500), np.arange(2000)
+    tells = rng.uniform(0, 1, 2000)
+    left = hard[:, None] * np.sqrt(0.5 + 2.0 * tells)[:, None] * rng.normal(0, 0.5, (2000, 3))
+    doubts = np.stack([hard + rng.uniform(-0.5, 0.5, 2000), tells, rng.uniform(0, 1, 2000)], axis=1)
+    none = np.zeros((2000, 3, 3))
+    judged = Judged(left, left, none, doubts, np.zeros(2000), rows // 500)
+    constant, confounded, telling, nothing = Trust.of(judged).growth
+    assert telling / constant > 2.0  # 4 is true
+    assert confounded < 0.1 * telling
+    assert nothing < 0.3 * telling
+    pooled = Trust.of(replace(judged, recording=np.zeros(2000))).growth  # a recording for all
+    assert pooled[1] > 0.3 * pooled[2]
+
+
+def test_unfamiliar_is_what_errs_more() -> None:
+    rng = np.random.default_rng(2)
+    far = rng.uniform(0.5, 1.5, 1000)
+    left = np.where(far > 1.2, 3.0, 1.0)[:, None] * rng.normal(0, 1, (1000, 3))
+    none, doubts = np.zeros((1000, 3, 3)), np.zeros((1000, DOUBTS))
+    judged = Judged(left, left, none, doubts, far, np.arange(1000) // 250)
+    assert Trust.of(judged).limit == 1.2
+    alike = replace(judged, residuals_mm=rng.normal(0, 1, (1000, 3)) * (1 / far)[:, None])
+    assert Trust.of(alike).limit == 1.5  # they err no more: only what is very far is unfamiliar
+    near = replace(judged, strangeness=far / 1.5)
+    assert Trust.of(near).limit == 1.2  # nothing is known of what lies beyond

@@ -9,7 +9,6 @@ from measure.reading import check_numbers
 from measure.session import open_session, read_calibration
 from measure.session.trajectory import read_trajectory
 from measure_formats.trackers import tracker_bodies
-from measure_learning.robots.generic import read_urdf
 from measure_learning.robots.urdf import read_urdf
 from tests.session.conftest import Recording
 

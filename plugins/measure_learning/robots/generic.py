@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, ValidationError, model_
 
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.reading import parse_toml, read_toml_text
+from measure.reading import FileModel, parse_toml, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
 from measure.robots.schema import UNITS_S, Feature, LogFormat, OtherNames, Reading, StateSchema
 from measure_learning.robots.urdf import Follows, read_urdf
