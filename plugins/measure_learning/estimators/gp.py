@@ -16,13 +16,14 @@ from measure_learning.estimators._play import PlayBank
 _NARROWEST, _WIDEST = 0.01, 0.2  # half-widths of plays, as shares of the joint's range
 _STEP = 2.0  # by which a parameter of the kernel is multiplied or divided in the search
 _MOST_TRIALS = 24  # kernels, after which the search ends
+_LINEAR = 0.02  # variance of a linear part, per squared input, over that of the rest
 _JUDGES = 3000  # largest number of validation labels that choose the kernel
 
 
 class GpSettings(host.Settings):
     """Settings of `gp`."""
 
-    points: int = host.setting(2500, "Number of training rows kept for prediction.", ge=20)
+    points: int = host.setting(2500, "Number of training rows kept for prediction.", ge=1)
     tuning_points: int = host.setting(
         400, "Number of rows from which the kernel is chosen and outliers are known.", ge=20
     )
@@ -34,7 +35,7 @@ class GpSettings(host.Settings):
 
 @dataclass(frozen=True)
 class _Kernel:
-    """A squared exponential of the inputs over their lengths."""
+    """A squared exponential of the inputs over their lengths, and a linear part beside it."""
 
     joints: float  # length over the SD of a joint (or of the position)
     plays: float  # length over the half-width of a play
@@ -120,7 +121,7 @@ class GpEstimator(WithinTrajectoryEstimator):
                 report(min(0.5, 0.5 * len(scores) / _MOST_TRIALS), "choosing the kernel")
             return scores[kernel]
 
-        best = _Kernel(3.0, 8.0, 0.25)  # what the arms measured so far chose
+        best = _Kernel(2.0, 6.0, 0.3)  # what the arms measured so far chose
         while len(scores) < _MOST_TRIALS:
             if (other := min((best, *best.neighbours()), key=score)) == best:
                 break
@@ -141,7 +142,8 @@ class GpEstimator(WithinTrajectoryEstimator):
 
     def _tips(self, rows: _Rows) -> Floats:
         """Tip errors (n, 3), to first order."""
-        return np.einsum("nij,nj->ni", rows.slopes, self._near(rows.inputs) @ self._weights)
+        outputs = self._near(rows.inputs) @ self._weights + rows.inputs @ self._linear
+        return np.einsum("nij,nj->ni", rows.slopes, outputs)
 
     def _solve(self, rows: _Rows) -> None:
         """In float32, as the graph computes."""
@@ -149,11 +151,13 @@ class GpEstimator(WithinTrajectoryEstimator):
 
         self._points = rows.inputs
         self._stretch = self._kernel.stretch(self._reading.shape[1], self._bank.size)
-        near = self._near(rows.inputs)
+        near, linear = self._near(rows.inputs), rows.inputs.astype(np.float32)
         slopes = rows.slopes.astype(np.float32)
-        factor = cho_factor(_gram(near, slopes, self._kernel.noise), lower=True, overwrite_a=True)
+        gram = _gram(near + _LINEAR * linear @ linear.T, slopes, self._kernel.noise)
+        factor = cho_factor(gram, lower=True, overwrite_a=True)
         pulled = cho_solve(factor, rows.labels.astype(np.float32).ravel()).reshape(-1, 3)
         self._weights = np.einsum("nij,ni->nj", slopes, pulled).astype(np.float64)
+        self._linear = _LINEAR * rows.inputs.T @ self._weights
         left = rows.labels - self._tips(rows)
         # What is unknown of the tip error's mean axis, as if it were a process of its own.
         signal = float((left**2).mean()) / self._kernel.noise
@@ -171,13 +175,16 @@ class GpEstimator(WithinTrajectoryEstimator):
         started, states = graph.ops("Split", 2, memory, sizes, axis=1)
         play, states = self._bank.in_graph(graph, features, states, started)
         joints = self._scaling.in_graph(graph, graph.op("MatMul", features, self._reading))
-        x = graph.op("Mul", graph.op("Concat", joints, play, axis=1), self._stretch)
+        inputs = graph.op("Concat", joints, play, axis=1)
+        x = graph.op("Mul", inputs, self._stretch)
         points = self._points * self._stretch
         cross = graph.op("MatMul", x, -2.0 * points.T)
         square = graph.op("ReduceSumSquare", x, axes=[1], keepdims=1)
         distance = graph.op("Add", graph.op("Add", cross, square), (points**2).sum(axis=1)[None])
         near = graph.op("Exp", graph.op("Mul", distance, np.float32(-0.5)))
-        outputs = graph.op("MatMul", near, self._weights * self._units)
+        curved = graph.op("MatMul", near, self._weights * self._units)
+        straight = graph.op("MatMul", inputs, self._linear * self._units)
+        outputs = graph.op("Add", curved, straight)
         error = tip_error(graph, self._data_schema, features, outputs)
         mean = graph.op("Add", error, self._mean)
         few = graph.columns(near, range(len(self._whitener)))
@@ -187,7 +194,12 @@ class GpEstimator(WithinTrajectoryEstimator):
         unknown = graph.op("Sub", np.array([[self._variance]]), explained)
         variance = graph.op("Max", unknown, np.zeros((1, 1)))
         after = graph.op("Concat", graph.ones_like(started), states, axis=1)
-        return host.Core(mean, after, variance, 1 + self._bank.size)
+        return host.Core(mean, after, variance, self.memory_size)
+
+    @property
+    def memory_size(self) -> int:
+        """A started flag and the plays' states."""
+        return 1 + self._bank.size
 
 
 def _gram(near: Floats, slopes: Floats, noise: float) -> Floats:

@@ -1,4 +1,4 @@
-"""The default: play operators, small perceptrons, and GRUs with a memory, averaged."""
+"""The default: perceptrons and GRUs on play operators, averaged with a Gaussian process."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from measure_learning.estimators._training import (
     train_perceptrons,
 )
 from measure_learning.estimators._training_set import OutputUnits, TrainingSet
+from measure_learning.estimators.gp import GpEstimator, GpSettings
 
 N = TypeVar("N", _nets.Perceptrons, _nets.Grus)
 
@@ -40,7 +41,7 @@ class StreamSettings(host.Settings):
     )
     grus: int = host.setting(3, "Number of GRUs in the ensemble.", ge=1)
     gru_units: int = host.setting(96, "Hidden units of a GRU.", ge=4)
-    gru_epochs: int = host.setting(120, "Passes over the data in the training of a GRU.", ge=1)
+    gru_epochs: int = host.setting(90, "Passes over the data in the training of a GRU.", ge=1)
     window: int = host.setting(128, "Steps in a training window of a GRU.", ge=8)
     play_widths: int = host.setting(8, "Number of play operators per joint combination.", ge=1)
     narrowest: float = host.setting(
@@ -54,13 +55,17 @@ class StreamSettings(host.Settings):
     noise: float = host.setting(
         0.02, "Standard deviation of the noise added to scaled inputs in training.", ge=0
     )
+    points: int = host.setting(
+        2500, "Training rows that the Gaussian process beside the nets keeps; 0 for none.", ge=0
+    )
 
 
 class StreamEstimator(WithinTrajectoryEstimator):
-    """Play-operator features, small perceptrons and stateful GRUs, averaged; the default.
+    """Perceptrons, stateful GRUs and a Gaussian process on play operators; the default.
 
-    Joint errors go through the forward kinematics where the robot's chain is known. The members'
-    disagreement is part of the reported covariance.
+    Joint errors go through the forward kinematics where the robot's chain is known. The nets are
+    averaged, and the process joins them with the weight that leaves least of the validation
+    trajectories. The members' disagreement is part of the reported covariance.
     """
 
     name = "stream"
@@ -68,8 +73,15 @@ class StreamEstimator(WithinTrajectoryEstimator):
     config: StreamSettings
 
     def draft(self) -> host.Settings:
-        """One GRU instead of several: what recordings left out show changes by a few percent."""
-        return self.config.model_copy(update={"grus": 1})
+        """Fewer nets, for half as long: what recordings left out show changes by a few percent."""
+        c = self.config
+        fewer = {
+            "grus": 1,
+            "gru_epochs": -(-c.gru_epochs // 2),
+            "perceptrons": -(-c.perceptrons // 3),
+            "points": c.points // 2,
+        }
+        return c.model_copy(update=fewer)
 
     def learn(
         self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
@@ -89,6 +101,23 @@ class StreamEstimator(WithinTrajectoryEstimator):
         self._perceptrons = self._fit_perceptrons(training_set, seed, log, report)
         self._grus = self._fit_grus(training_set, seed, log, report)
         self.curve = tuple(log.curve)
+        self._process = self._fit_process(data, validation, seed)
+
+    def _fit_process(
+        self, data: host.Dataset, validation: host.Dataset, seed: int
+    ) -> GpEstimator | None:
+        """The process, and the weight with which it leaves least of the validation labels."""
+        if not (points := self.config.points):
+            return None
+        process = GpEstimator(GpSettings(points=points, play_widths=self.config.play_widths))
+        process.learn(data, validation, seed=seed, report=host.quiet)
+        self._process, said = process, []
+        for self._share in (0.0, 1.0):
+            said.append(self.alone(validation)[validation.usable])
+        left, apart = validation.errors_mm[validation.usable] - said[0], said[1] - said[0]
+        share = float((apart * left).sum() / max(float((apart**2).sum()), 1e-12))
+        self._share = min(max(share, 0.0), 1.0)
+        return process
 
     def _fit_perceptrons(
         self, data: TrainingSet, seed: int, log: _Log, report: host.Report
@@ -131,10 +160,30 @@ class StreamEstimator(WithinTrajectoryEstimator):
     def compute(
         self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
     ) -> host.Core:
+        """The nets, averaged with the process; the memory of the process stands last."""
+        if (process := self._process) is None:
+            return self._nets(graph, features, memory, tick)
+        kept = sum(self._widths()), process.memory_size
+        own, others = graph.ops("Split", 2, memory, graph.constant(kept, np.int64), axis=1)
+        nets = self._nets(graph, features, own, tick)
+        other = process.compute(graph, features, others, tick)
+        share, apart = self._share, graph.op("Sub", other.error, nets.error)
+        error = graph.op("Add", nets.error, graph.op("Mul", apart, np.float32(share)))
+        # Variance of a mixture: within its parts, and between them.
+        between = graph.op("ReduceSumSquare", apart, axes=[1], keepdims=1)
+        spreads = [part.spread for part in (nets, other) if part.spread is not None]
+        variances = graph.op("Concat", *spreads, between, axis=1)
+        weights = np.array([[1.0 - share], [share], [share * (1.0 - share)]])
+        spread = graph.op("MatMul", variances, weights)
+        memories = [part.memory for part in (nets, other) if part.memory is not None]
+        memory = graph.op("Concat", *memories, axis=1)
+        return host.Core(error, memory, spread, sum(kept))
+
+    def _nets(
+        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
+    ) -> host.Core:
         """Memory: a started flag, play states, hidden states, moving inputs of the last tick."""
-        plays, hidden = self._bank.size, self._grus.members * self._grus.hidden
-        widths = [1, plays, hidden, len(self._moving)]
-        sizes = graph.constant(widths, np.int64)
+        sizes = graph.constant(self._widths(), np.int64)
         started, states, before, last = graph.ops("Split", 4, memory, sizes, axis=1)
         play, states = self._bank.in_graph(graph, features, states, started)
         raw = graph.columns(features, self._columns)
@@ -157,7 +206,12 @@ class StreamEstimator(WithinTrajectoryEstimator):
         )
         kept = graph.op("Concat", begun, states, slow, axis=1)
         error = self._outputs.error_in_graph(graph, self._data_schema, features, mean)
-        return host.Core(error, kept, spread, sum(widths))
+        return host.Core(error, kept, spread, sum(self._widths()))
+
+    def _widths(self) -> list[int]:
+        """Of the parts of the nets' memory."""
+        hidden = self._grus.members * self._grus.hidden
+        return [1, self._bank.size, hidden, len(self._moving)]
 
     def _moving_inputs(self) -> list[int]:
         """Places of the joints (or the position) among the inputs."""
