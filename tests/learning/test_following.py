@@ -40,7 +40,7 @@ def test_joint_offsets_are_followed_to_other_poses() -> None:
     zeros = np.array([0.004, -0.003, 0.4, 0.03, -0.03, 0.02])
     errors = schema.chain.tip_mm(q + zeros) - tips + rng.normal(0, 0.2, tips.shape)
     follower, nothing = OffsetFollower(schema), Correction(np.zeros(3), 0.04 * np.eye(3))
-    left = []
+    left, stated = [], []
     for row in range(400):
         answer = follower.corrected(nothing, states[row], 0.4 * row)
         if row % 10 == 0:
@@ -48,14 +48,21 @@ def test_joint_offsets_are_followed_to_other_poses() -> None:
             follower.add(nothing, states[row], 0.4 * row, true_mm, 1e-4 * np.eye(3))
         elif row > 50:
             left.append((errors[row], errors[row] - answer.error_mm))
+            stated.append(np.trace(answer.covariance))
     before, after = np.sqrt((np.array(left) ** 2).sum(axis=2).mean(axis=0))
     assert after < 0.6 * before
     assert not follower.monitor.due
-    faded = follower.corrected(nothing, states[0], 1e4)
+    assert 0.8 < np.sqrt(np.mean(stated)) / after < 1.25
+    rest = follower.corrected(nothing, states[399], 1e4)
+    assert np.linalg.norm(rest.error_mm) > 0.3  # an arm at rest forgets nothing
+    far = states[399] + [0.5, 0.5, 0, 0, 0, 0, 0, 0, 0]
+    for row in range(40):  # hysteresis is forgotten in motion
+        faded = follower.corrected(nothing, (states[399], far)[row % 2], 1e4 + row)
     assert faded.error_mm == pytest.approx(np.zeros(3), abs=1e-6)
+    assert np.trace(faded.covariance) > 1.5 * np.trace(rest.covariance)
     for row in range(400):
         jump = np.array([5.0, 0, 0]) * (-1) ** row
-        follower.add(nothing, states[row], 1e4 + row, tips[row] + jump, 1e-4 * np.eye(3))
+        follower.add(nothing, states[row], 2e4 + row, tips[row] + jump, 1e-4 * np.eye(3))
     assert "train again" in follower.monitor.sentence()
 
 

@@ -248,9 +248,8 @@ def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> di
 
 
 def follower_of(model: OnnxModel) -> offsets.OffsetFollower:
-    """What follows the offsets by true positions, as large as they were in training."""
-    restarts_mm = model.facts.get("offset_sd_mm", 0.0)
-    return offsets.OffsetFollower(model.schema, _prior_sd_mm(model), restarts_mm)
+    """What follows the offsets by true positions."""
+    return offsets.OffsetFollower(model.schema, model.facts.get("offset_sd_mm", 0.0))
 
 
 def _prior_sd_mm(model: OnnxModel) -> float:

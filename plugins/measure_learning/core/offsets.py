@@ -166,42 +166,48 @@ def _regression(design: Floats, residuals: Floats, prior_sd_mm: float) -> tuple[
     return found, covariance
 
 
-MEMORY_S = 24.0  # offsets fade with this time constant: hysteresis lasts as long
+_MEMORY_MM = 200.0  # of the joints' motion, at their levers, in which hysteresis is forgotten
 _HOLD_S = 0.02  # the offset at the tip is computed anew after this time: at 1 kHz it hardly changes
 _LEAST_LEVER_MM = 5.0  # of a joint at the first pose, which scales its offset
+_SHARE = 0.85  # of the stated variance, what offsets of joints and base can explain
+_TRUSTED, _KEPT = 5.0, 0.97  # innovations that the stated size counts as; kept of them at each
+_LARGEST = 9.0  # of a squared innovation per axis: a single false detection must not decide
 
 
 class OffsetFollower:
-    """Offsets (joints, if known, and base) that fade to zero, corrected by every true pose.
+    """Offsets (joints, if known, and base) that fade with motion, corrected by every true pose.
 
-    The stated covariance of the model holds offsets of unseen recordings already: it is left as
-    it is, and is that of the measurement. The drift monitor takes the innovations, and the
-    covariance without them.
+    Before the first one, and when all has faded, they are as uncertain as the model states; every
+    true pose makes them less so, and the stated covariance with them. Its level follows the
+    innovations: how large they are in comparison with what was expected. The drift monitor takes
+    them as well, with the covariance less what a restart has in it.
     """
 
-    def __init__(
-        self, schema: StateSchema, prior_sd_mm: float = PRIOR_SD_MM, restarts_mm: float = 0.0
-    ) -> None:
+    def __init__(self, schema: StateSchema, restarts_mm: float = 0.0) -> None:
         """Learnt with offsets of SD `restarts_mm` per axis in the stated covariance, if any."""
         self.monitor = DriftMonitor()
-        self._schema, self._prior, self._restarts_mm = schema, prior_sd_mm**2, restarts_mm
-        self._lever: Floats | None = None
+        self._schema, self._restarts_mm = schema, restarts_mm
         self.forget()
 
     def forget(self) -> None:
         """The robot was started again: its offsets are others."""
         self._mean: Floats | None = None
         self._time_s = self._held_s = np.nan
+        self._surprise, self._expected = _TRUSTED, _TRUSTED
 
     def corrected(self, correction: Correction, state: Floats, time_s: float) -> Correction:
         """A model's correction with the offset at a state (features,)."""
         if self._mean is None:
             return correction
         if not 0 <= time_s - self._held_s < _HOLD_S:
-            self._fade(time_s)
-            self._offset_mm, self._held_s = self._design(state) @ self._mean, time_s
-        error = correction.error_mm + self._offset_mm
-        return Correction(error, correction.covariance, correction.unfamiliar)
+            self._fade(state, time_s)
+            design = self._design(state)
+            self._held_mm, self._held_mm2 = design @ self._mean, design @ self._spread @ design.T
+            self._held_s = time_s
+        covariance = self._held_mm2 + (1.0 - _SHARE) * correction.covariance
+        level = self._surprise / self._expected
+        error = correction.error_mm + self._held_mm
+        return Correction(error, level * covariance, correction.unfamiliar)
 
     def add(
         self,
@@ -212,34 +218,53 @@ class OffsetFollower:
         covariance: Floats,
     ) -> None:
         """Take the true position (3,) at a state that the model corrected so."""
-        design, self._held_s = self._design(state), np.nan
         if self._mean is None:
-            self._mean, self._spread = (
-                np.zeros(design.shape[1]),
-                self._prior * np.eye(design.shape[1]),
-            )
-            self._time_s = time_s
-        self._fade(time_s)
+            self._begin(correction, state, time_s)
+        self._fade(state, time_s)
+        design, self._held_s = self._design(state), np.nan
         reported = self._schema.position_mm(state)
         innovation = true_mm - reported - correction.error_mm - design @ self._mean
         across = self._spread @ design.T
-        stated = design @ across + correction.covariance + covariance
+        stated = design @ across + (1.0 - _SHARE) * correction.covariance + covariance
         settled = without_restarts(correction.covariance, self._restarts_mm)
-        self.monitor.add(innovation, stated - correction.covariance + settled)
+        self.monitor.add(innovation, design @ across + settled + covariance)
+        squared = float(innovation @ np.linalg.solve(stated, innovation)) / 3.0
+        fresh = (1.0 - _KEPT) * _TRUSTED
+        self._surprise = _KEPT * self._surprise + fresh + min(squared, _LARGEST)
+        self._expected = _KEPT * self._expected + fresh + 1.0
         gain = np.linalg.solve(stated, across.T).T
         self._mean = self._mean + gain @ innovation
         self._spread = self._spread - gain @ across.T
 
-    def _fade(self, time_s: float) -> None:
-        """Bring the offsets to an instant; a stamp that is unknown or earlier changes nothing."""
-        past = time_s - self._time_s
-        if self._mean is None or not past > 0:
+    def _begin(self, correction: Correction, state: Floats, time_s: float) -> None:
+        """Offsets of one size each, at the tip as uncertain as the model says of it."""
+        self._lever = np.zeros(0)
+        if (chain := self._schema.chain) is not None:
+            jacobian = chain.jacobian(self._schema.joint_positions(state))[:3]
+            lever = np.maximum(np.linalg.norm(jacobian, axis=0), _LEAST_LEVER_MM)
+            slides = [joint.prismatic for joint in chain.joints]
+            self._lever = np.where(slides, 1.0, lever)
+        design = self._design(state)
+        stated = float(np.trace(correction.covariance))
+        self._prior = _SHARE * stated / float((design**2).sum()) * np.eye(design.shape[1])
+        self._mean, self._spread = np.zeros(len(self._prior)), self._prior
+        self._at, self._time_s = self._place(state), time_s
+
+    def _fade(self, state: Floats, time_s: float) -> None:
+        """Bring the offsets to a state; one earlier than the last changes nothing."""
+        if self._mean is None or time_s < self._time_s:
             return
-        kept = float(np.exp(-past / MEMORY_S))
+        place = self._place(state)
+        kept = float(np.exp(-np.abs(place - self._at).sum() / _MEMORY_MM))
         self._mean = kept * self._mean
-        fresh = (1.0 - kept**2) * self._prior * np.eye(len(self._mean))
-        self._spread = kept**2 * self._spread + fresh
-        self._time_s = time_s
+        self._spread = kept**2 * self._spread + (1.0 - kept**2) * self._prior
+        self._at, self._time_s = place, time_s
+
+    def _place(self, state: Floats) -> Floats:
+        """Joints in mm at their levers, or the position."""
+        if self._schema.chain is None:
+            return self._schema.position_mm(state)
+        return self._schema.joint_positions(state) * self._lever
 
     def _design(self, state: Floats) -> Floats:
         """Motion (3, offsets) of the tip by an offset of 1 mm of each joint and of the base."""
@@ -247,10 +272,6 @@ class OffsetFollower:
         if chain is None:
             return np.eye(3)
         jacobian = chain.jacobian(self._schema.joint_positions(state))[:3]
-        if self._lever is None:
-            self._lever = np.maximum(np.linalg.norm(jacobian, axis=0), _LEAST_LEVER_MM)
-            slides = [joint.prismatic for joint in chain.joints]
-            self._lever = np.where(slides, 1.0, self._lever)
         return np.concatenate([jacobian / self._lever, np.eye(3)], axis=1)
 
 
