@@ -2,5 +2,6 @@
 
 from measure_learning.simulator.mechanics import Cables
 from measure_learning.simulator.simulate import SimulatedRun, simulate
+from measure_learning.simulator.slip import Slip
 
-__all__ = ["Cables", "SimulatedRun", "simulate"]
+__all__ = ["Cables", "SimulatedRun", "Slip", "simulate"]

@@ -29,6 +29,7 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.errors import ConfigError
 from measure_learning.robots import raven
+from measure_learning.simulator.slip import Slip
 
 STEP_S = 1e-3  # [S] controller period
 
@@ -80,6 +81,8 @@ class Cables:
         registration_mm: where the robot believes its base to be, minus where it is.
         registration_rotvec_deg: the same for its orientation.
         registration_sd: SDs per axis of both after each restart, mm and deg.
+        wear: factor on slack and friction.
+        slip: hysteresis, creep and drift beside these; None for none.
     """
 
     stiffness: tuple[float, ...] = (220.0, 160.0, 9000.0, 2.0, 1.5, 1.5, 1.5)
@@ -97,6 +100,7 @@ class Cables:
     registration_rotvec_deg: tuple[float, float, float] = (0.3, -0.4, 0.2)
     registration_sd: tuple[float, float] = (0.3, 0.06)
     wear: float = 1.0
+    slip: Slip | None = None
 
     def __post_init__(self) -> None:
         if not 0.1 <= self.wear <= 3.0:

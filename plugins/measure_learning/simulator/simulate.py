@@ -107,7 +107,10 @@ def simulate(
     logged = integrate(desired, _gravity(desired, arm), cables, every)
     zero = np.array(cables.homing) + rng.normal(0.0, cables.restart_sd)
     encoder_offset = np.round(rng.uniform(-2e4, 2e4, raven.DRIVES))
-    q_true = raven.joints_from_drives(logged[:, 3] + zero)
+    links = logged[:, 3]
+    if cables.slip is not None:
+        links = links + cables.slip.errors(links, every * k.STEP_S)
+    q_true = raven.joints_from_drives(links + zero)
     sd_mm, sd_deg = cables.registration_sd
     world_from_base = RigidTransform.from_rotvec(
         np.deg2rad(cables.registration_rotvec_deg + rng.normal(0.0, sd_deg, 3)),
