@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.registration import Arm, recorded, robot_toml, schema, stopped, ur5e
 from measure.cli import main
-from measure.geometry import chi_square_quantile
+from measure.geometry import RigidTransform, chi_square_quantile
 from measure.robots import RobotLog
 from measure_learning.core.frames import read_frame
 from measure_learning.core.registration import RegisterOptions, register_stops
@@ -124,6 +124,61 @@ def test_pictures_while_standing_and_a_whole_log(tmp_path: Path, robot: str) -> 
     found = read_frame(out)
     assert found.judgement["poses"] == 12
     assert np.linalg.norm(found.world_from_base.difference(arm.world_from_base)[:3]) < 5.0
+
+
+def test_a_log_at_1_hz_of_a_robot_that_stands_is_enough(tmp_path: Path, robot: str) -> None:
+    """Pictures all the time, which move between the stops too."""
+    _, joints, arm = columns_of(7, 12)
+    q = np.column_stack(list(joints.values()))
+    starts = 6.0 * np.arange(12)
+    knots = np.concatenate([[s, s + 3.5] for s in starts])
+    rng = np.random.default_rng(0)
+
+    def at(times: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(times, knots, np.repeat(c, 2)) for c in q.T], axis=1)
+
+    times = np.arange(0.0, starts[-1] + 3.5, 0.1)
+    seen = arm.world_from_base @ ur5e(mm=0.5, deg=0.05, seed=7).pose(at(times))
+    seen = (seen @ arm.flange_from_body).perturb(0.02 * rng.normal(size=(len(times), 6)) * 0.05)
+    values = np.concatenate([seen.translation, seen.quat_wxyz], axis=1)
+    table = write_table(
+        tmp_path / "poses.csv", {"time_s": times} | dict(zip(POSE, values.T, strict=True))
+    )
+    slow = np.arange(0.3, times[-1])
+    logged = dict(zip(joints, at(slow).T, strict=True))
+    log = write_table(tmp_path / "log.csv", {"time_s": slow + 9.0} | logged)
+    code, out = registered(table, table, "--robot-log", log, "--robot", robot)
+    assert code == 0
+    found = read_frame(out)
+    assert 8 <= found.judgement["poses"] <= 12
+    assert np.linalg.norm(found.world_from_base.difference(arm.world_from_base)[:3]) < 5.0
+
+
+def test_a_log_of_the_tools_poses_is_enough(
+    tmp_path: Path, robot: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In metres and rotation vectors; links cannot be fitted to it, which is said."""
+    one = recorded(2, seconds=30.0, frame_hz=8.0)
+    values = np.concatenate(
+        [one.track.positions_mm, RigidTransform(one.track.rotations, np.zeros(3)).quat_wxyz], axis=1
+    )
+    table = write_table(
+        tmp_path / "poses.csv",
+        {"time_s": one.track.times_s} | dict(zip(POSE, values.T, strict=True)),
+    )
+    tool = ur5e().pose(one.log.states[:, :6])
+    stated = np.concatenate([tool.translation / 1e3, tool.rotvec], axis=1)
+    tcp = {f"actual_TCP_pose_{k}": stated[:, k] for k in range(6)}
+    log = write_table(tmp_path / "tcp.csv", {"timestamp": one.log.times_s} | tcp)
+    source = (table, "--robot-log", log, "--robot", robot)
+    code, out = registered(table, *source)
+    assert code == 0
+    found = read_frame(out)
+    assert np.linalg.norm(found.world_from_base.difference(one.world_from_base)[:3]) < 3.0
+    assert np.linalg.norm(found.flange_from_body.difference(one.flange_from_body)[:3]) < 2.0
+    assert "next_pose" not in found.judgement
+    assert registered(table, *source, "--kinematics")[0] == 2
+    assert "no joints whose links can be fitted" in capsys.readouterr().err
 
 
 def test_a_slip_of_stops_is_named(

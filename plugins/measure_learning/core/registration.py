@@ -89,6 +89,7 @@ def register(recordings: Sequence[Recording], options: RegisterOptions) -> Robot
         clocks = np.array(
             [clock_of(r, options.largest_offset_s) if given is None else given for r in recordings]
         )
+        moving(recordings, clocks, given is not None, LEAST_STOPS)  # refuses a log at 1 Hz
     except EstimatorError as problem:
         stops = [at_rest(one, given) for one in recordings]
         if all(stops):
