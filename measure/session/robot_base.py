@@ -8,7 +8,8 @@ from pydantic import ConfigDict, FiniteFloat
 
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.session.files import FileModel, Position, load_toml
+from measure.reading import FileModel
+from measure.session.files import Position, load_toml
 
 
 class StatedTransform(FileModel):
