@@ -6,8 +6,8 @@ import pytest
 from measurements import BODY, CAMERAS, measurement
 
 from measure.host import Conclusion
-from measure.host.tracker import Memoryless
 from measure.measuring import Pipeline, Stages
+from measure.measuring.tracking import Memoryless
 from measure.model import Detection, Expectation, FrameSet, Image, Pose
 
 
