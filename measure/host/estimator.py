@@ -42,6 +42,19 @@ class Epoch:
 
 
 @dataclass(frozen=True)
+class RecordingLeftOut:
+    """A recording that a fit has not seen, its covariance fitted to the other such recordings."""
+
+    name: str
+    labels: int
+    before_mm: float  # RMS error, mm
+    after_mm: float  # what the fit left of it, mm
+    stated_mm: float  # the SD stated of that, RMS, mm
+    inside_95: float  # share of labels in the 95 % region
+    correlation: float  # of stated SD and error, pose by pose; a constant SD has none
+
+
+@dataclass(frozen=True)
 class LeftOut:
     """What the covariance was fitted to."""
 
@@ -51,6 +64,7 @@ class LeftOut:
     groups: int
     before_mm: float  # RMS error of the rows it was fitted to, mm
     after_mm: float  # what fits without them left of it, mm
+    by_recording: tuple[RecordingLeftOut, ...] = ()  # where there were two or more to leave out
 
 
 class Estimator(Plugin):

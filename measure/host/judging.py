@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Bools, Floats, Ints
 from measure.host.dataset import Dataset
+from measure.host.estimator import RecordingLeftOut
 from measure.host.onnx_graph import Graph, Value
 
 _CLIP_SDS = 8.0  # scaled features are clipped to this many SDs
@@ -172,13 +173,24 @@ class Judged:
 
     def offsets_mm(self) -> Floats:
         """Means (recordings, 3) of the residuals."""
-        return np.array(
-            [self.residuals_mm[self.recording == one].mean(axis=0) for one in self.names()]
-        )
+        names = np.unique(self.recording)
+        return np.array([self.residuals_mm[self.recording == n].mean(axis=0) for n in names])
 
-    def names(self) -> Any:
-        """Of the recordings."""
-        return np.unique(self.recording)
+    def rows(self, keep: Bools) -> Judged:
+        """Some of them."""
+        return Judged(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+    def in_turn(self) -> tuple[RecordingLeftOut, ...]:
+        """Every recording by the covariance that is fitted to the others."""
+        names = np.unique(self.recording)
+        if len(names) < 2:
+            return ()
+        return tuple(
+            Trust.of(self.rows(self.recording != name)).judge(
+                str(name), self.rows(self.recording == name)
+            )
+            for name in names
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +232,25 @@ class Trust:
         scale = np.concatenate([np.ones((len(residual), 1)), judged.doubts], axis=1) @ growth
         growth *= max(1.0, _conformal(squared / np.maximum(scale, _LEAST), weight))
         return cls(moment, growth, _limit(judged))
+
+    def judge(self, name: str, judged: Judged) -> RecordingLeftOut:
+        """How this covariance fits a recording that it was not fitted to."""
+        ones = np.ones((len(judged.doubts), 1))
+        scale = np.concatenate([ones, judged.doubts], axis=1) @ self.growth
+        stated = scale[:, None, None] * self.moment
+        left = judged.residuals_mm
+        white = np.linalg.solve(stated + judged.labels, left[:, :, None])[:, :, 0]
+        errors = np.linalg.norm(left, axis=1)
+        sd = np.sqrt(scale * np.trace(self.moment))
+        varies = errors.std() > 0 and sd.std() > 1e-9 * sd.mean()
+        return RecordingLeftOut(
+            name,
+            len(left),
+            *judged.rms_mm(),
+            stated_mm=float(np.sqrt((sd**2).mean())),
+            inside_95=float(((left * white).sum(axis=1) / 3.0 < _REGION_95).mean()),
+            correlation=float(np.corrcoef(sd, errors)[0, 1]) if varies else 0.0,
+        )
 
     def covariance(self, graph: Graph, doubts: Value) -> Value:
         """(N, 9)."""

@@ -105,7 +105,9 @@ class OnnxEstimator(Estimator):
         self._trust = Trust.of(found)
         if groups:
             self._offset_sd_mm = float(np.sqrt((found.offsets_mm() ** 2).mean()))
-        self.left_out = LeftOut(len(data.recordings()), len(groups), *found.rms_mm())
+        before, after = found.rms_mm()
+        turns = found.in_turn() if groups else ()
+        self.left_out = LeftOut(len(data.recordings()), len(groups), before, after, turns)
         self._model = OnnxModel(self._build({}))
 
     def _left_out(

@@ -68,8 +68,13 @@ def test_the_covariance_is_that_of_new_recordings() -> None:
     assert honest.left_out.recordings == 10
     assert honest.left_out.groups == 5
     assert honest.left_out.after_mm > 1.0
+    turns = honest.left_out.by_recording
+    assert [turn.name for turn in turns] == sorted(f"day{index}" for index in range(10))
+    assert all(turn.labels == 60 for turn in turns)
+    assert np.mean([turn.inside_95 for turn in turns]) > 0.85
     assert proud.left_out is not None
     assert proud.left_out.groups == 0
+    assert proud.left_out.by_recording == ()
 
 
 @pytest.mark.parametrize(
@@ -156,9 +161,12 @@ def test_one_recording_promises_nothing_and_validation_is_no_test(
     assert "Nothing is promised: learnt from one recording" in said.out + said.err
     assert "test:" not in said.out
     card = (tmp_path / "m.card.md").read_text()
-    assert "Nothing is promised" in card
+    assert card.partition("## ")[2].startswith(
+        "On a new session of this robot\n\nNothing is promised"
+    )
+    assert "| recording |" not in card
     assert "Error on the validation trajectories" in card
-    assert "test" not in card.partition("## ")[2]
+    assert "test" not in card.partition("## Error")[2]
     assert "test" not in json.loads((tmp_path / "m.card.json").read_text())["data"]
     words += ["--overwrite"]
     assert main([*words, "--test", str(one)]) == 2
@@ -179,3 +187,15 @@ def test_runs_of_one_restart_are_one_recording(tmp_path: Path) -> None:
     path.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
     data = files.read_labelled(path, find_schema("dvrk-psm"))
     assert data.recordings() == {"mon": ["mon/a", "mon/b"], "tue": ["tue/c"]}
+
+
+def test_the_card_opens_with_new_sessions_recording_by_recording(tmp_path: Path) -> None:
+    data = tmp_path / "data.parquet"
+    files.write_dataset(data, _recordings([f"day{index}" for index in range(6)], 1), [], "six")
+    words = ["train", str(data), "--estimator", "ridge", "--out", str(tmp_path / "m.onnx")]
+    assert main(words) == 0
+    first = (tmp_path / "m.card.md").read_text().partition("## ")[2].partition("## ")[0]
+    assert "left out in turn" in first
+    rows = [line for line in first.splitlines() if line.startswith("| day")]
+    assert len(rows) == 4  # one is kept for validation, one for the test
+    assert all(line.count("|") == 8 and "%" in line for line in rows)

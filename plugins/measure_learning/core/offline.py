@@ -253,10 +253,12 @@ def follower_of(model: OnnxModel) -> offsets.OffsetFollower:
 
 
 def _prior_sd_mm(model: OnnxModel) -> float:
-    """Size of the offsets, learnt from the recordings of the training if there were several."""
-    return float(
-        np.clip(model.facts.get("offset_sd_mm", offsets.PRIOR_SD_MM), *offsets.PRIOR_LIMITS_MM)
-    )
+    """Size of each offset, of joints and base, so that all move the tip as in the training."""
+    size_mm = model.facts.get("offset_sd_mm")
+    if size_mm is None:
+        return offsets.PRIOR_SD_MM
+    count = 3 + (0 if model.schema.chain is None else model.schema.chain.size)
+    return float(np.clip(size_mm * np.sqrt(3.0 / count), *offsets.PRIOR_LIMITS_MM))
 
 
 def rezero(

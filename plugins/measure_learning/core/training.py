@@ -166,6 +166,7 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
             for part, facts in card["data"].items()
         ),
         "promise": promise(left_out and LeftOut(**left_out)),
+        "said_turns": _turns(left_out),
         "times": scores["consistency"] ** 0.5,
         "trajectory_rows": _rows((n, b, a) for n, (b, a) in scores["by_trajectory"].items()),
         "speed_rows": _rows(speeds),
@@ -184,6 +185,25 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
 def _rows(scored: Iterable[tuple[str, Any, Any]]) -> str:
     return "\n".join(
         f"| {name} | {b['rows']} | {b['rms_mm']:.3f} | {a['rms_mm']:.3f} |" for name, b, a in scored
+    )
+
+
+def _turns(left_out: Mapping[str, Any] | None) -> str:
+    """A table of the recordings left out in turn; nothing where there is none."""
+    if not (turns := (left_out or {}).get("by_recording")):
+        return ""
+    lines = "\n".join(
+        f"| {turn['name']} | {turn['labels']} | {turn['before_mm']:.3f} | {turn['after_mm']:.3f} | "
+        f"{turn['stated_mm']:.3f} | {turn['inside_95']:.1%} | {turn['correlation']:+.2f} |"
+        for turn in turns
+    )
+    return (
+        "Each recording by fits that have not seen it, and by the covariance that the others "
+        "left out give; errors and SD are RMS in 3-D, mm. The correlation is that of stated SD "
+        "and error, pose by pose.\n\n"
+        "| recording | labels | as reported | corrected | stated SD | in the 95 % region | "
+        "correlation |\n|---|---:|---:|---:|---:|---:|---:|\n"
+        f"{lines}\n\n"
     )
 
 
