@@ -21,7 +21,7 @@ from tests.simulated.sessions import still_session
 from tests.studio import test_from_nothing as new
 from tests.studio import test_marks as marks
 from tests.studio import waved
-from tests.studio.desk import choose, go, press, studio
+from tests.studio.desk import choose, go, press, studio, unfold
 
 IMAGES = Path(__file__).parent / "images"
 SIZES = {"": (1440, 900), "-tablet": (800, 1100), "-phone": (390, 844)}
@@ -47,11 +47,14 @@ def main(folder: Path | None) -> None:
         with serving(_served(cameras)) as found, studio(desk, *_words(found)) as address:
             go(page, address)
             page.wait_for(LIVE, 30)
+            unfold(page, "a body to look for")
             choose(page, "Body to look for", "body.toml")
             page.wait_for("document.body.innerText.includes('green, red, yellow')", 60)
+            unfold(page, "a body to look for")
             page.idle(8.0)
             _take(page, "cameras", folder)
             go(page, address + "measure")
+            unfold(page, "3-D viewer")
             page.wait_for(f"!!{VIEWER}", 30)
             page.evaluate(f"{VIEWER}.click()")
             press(page, "measure$")

@@ -202,7 +202,8 @@ def _told(bench: Bench, name: str) -> dict[str, tuple[str, str]]:
         away = f"away {often} times" if often > 1 else "away once" if often else "never away"
         told["drops"] = f"{away}, {count.refused} torn pictures", lost
         looked = bench.body is not None and bench.preview.has_looked(name)
-        told["balls"] = ", ".join(balls) or ("none" if looked else ""), ""
+        none = "choose a body under More" if bench.body is None else "none" if looked else "..."
+        told["balls"] = ", ".join(balls) or none, ""
     facts = bench.preview.facts(name)
     return told if facts is None else told | _judged(facts)
 

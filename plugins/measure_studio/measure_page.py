@@ -338,4 +338,4 @@ def _camera_line(bench: Bench, name: str) -> str:
     count = bench.now[name].count if name in bench.now else None
     problem = bench.problem(name)
     rate = "" if count is None else f"{count.pictures} pictures, {count.rate_hz:.1f} per s"
-    return f"{name}: {problem or rate}"
+    return problem if name in problem else f"{name}: {problem or rate}"

@@ -76,6 +76,15 @@ def press(page: Chromium, text: str) -> None:
     count(page)
 
 
+def unfold(page: Chromium, title: str) -> None:
+    """Open what is folded away under a title that holds this text, or close it; not counted."""
+    head = f"""[...document.querySelectorAll('.details .q-item')]
+        .find(item => item.innerText.includes({title!r}))"""
+    page.wait_for(f"!!{head}", 20)
+    page.evaluate(f"{head}.click()")
+    page.idle(1.0)
+
+
 def choose(page: Chromium, label: str, text: str) -> None:
     """Choose in the select with this label what holds this text."""
     field = f"""[...document.querySelectorAll('.q-select')]
@@ -84,7 +93,12 @@ def choose(page: Chromium, label: str, text: str) -> None:
     option = f"""[...document.querySelectorAll('.q-menu .q-item')]
         .find(i => i.innerText.split(' · ')[0] == {text!r})"""
     closed = "!document.querySelector('.q-menu')"
-    click = f"{field}.querySelector('.q-field__control').click()"
+    place = f"""(() => {{
+        const control = {field}.querySelector('.q-field__control');
+        control.scrollIntoView({{block: 'center'}});
+        const box = control.getBoundingClientRect();
+        return [box.left + box.width / 2, box.top + box.height / 2];
+    }})()"""
 
     patience_s = _SLOW_S / 2
 
@@ -93,7 +107,8 @@ def choose(page: Chromium, label: str, text: str) -> None:
         nonlocal patience_s
         if page.evaluate(f"!!{option}"):
             return True
-        page.evaluate(f"{closed} && {click}")
+        if page.evaluate(closed):
+            mouse(page, *page.evaluate(place))
         patience_s *= 2
         until_s = time.monotonic() + patience_s
         while not (there := page.evaluate(f"!!{option}")) and time.monotonic() < until_s:
@@ -135,5 +150,10 @@ def click_at(page: Chromium, image: str, u_px: float, v_px: float) -> None:
     x, y, scale, width, height = page.wait_for(place, 20)
     # Pixel centres are at integers, and the picture begins half a pixel before the first.
     x, y = x + scale * (u_px + 0.5 - width / 2), y + scale * (v_px + 0.5 - height / 2)
+    mouse(page, x, y)
+
+
+def mouse(page: Chromium, x: float, y: float) -> None:
+    """Point at a place in the window, in px, and click."""
     for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
         page.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)

@@ -13,7 +13,7 @@ from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium, find_chromium
 from tests.faults.cameras import FAULTS
 from tests.faults.hostile_camera import HostileCamera, hostile
-from tests.studio.desk import fill, go, press, strike, studio
+from tests.studio.desk import choose, fill, go, mouse, press, strike, studio
 
 pytestmark = [
     pytest.mark.browser,
@@ -101,3 +101,20 @@ def test_what_cannot_be_served_is_refused_in_one_line(tmp_path, capsys):
     command = ["studio", str(tmp_path / "desk"), f"cam0={outside}", "--port", "0", "--no-browser"]
     assert main(command) == 2
     assert "lies outside" in capsys.readouterr().err
+
+
+def test_a_menu_that_is_left_hidden_is_placed_below_its_field(tmp_path):
+    """As on a computer so busy that the menu has no size yet when it is to be placed."""
+    menu = "document.querySelector('.q-menu')"
+    box = "document.querySelector('.q-select').getBoundingClientRect()"
+    with studio(tmp_path / "desk") as address, Chromium(1440, 900) as page:
+        go(page, address + "calibration")
+        choose(page, "Board", "chessboard_9x6_25")
+        page.wait_for(f"!{menu}", 20)
+        where = page.evaluate(f"[{box}.left + {box}.width / 2, {box}.top + {box}.height / 2]")
+        mouse(page, *where)
+        page.wait_for(f"{menu}?.style.visibility == 'visible'", 20)
+        page.evaluate(f"{menu}.style.cssText = ''")
+        page.wait_for(f"{menu}.style.visibility == 'visible'", 20)
+        assert page.evaluate(f"Math.abs({menu}.getBoundingClientRect().top - {box}.bottom) < 40")
+        assert "charuco_8x5_27" in page.evaluate(f"{menu}.innerText")

@@ -30,6 +30,25 @@ setInterval(refresh, period);
 // What is shown is old once the server is gone: nothing looks live then.
 setInterval(() => document.body.classList.toggle("lost", window.socket?.connected === false), period);
 
+// Quasar gives up after 50 ms to place a menu that has no size yet, as on a busy computer, and leaves
+// it hidden for good: it is put below its field here, or above where there is more room.
+function placeMenus() {
+  for (const menu of document.querySelectorAll(".q-menu")) {
+    const field = document.querySelector(`[aria-controls="${menu.id}"]`)?.closest(".q-field");
+    if (!field || menu.style.visibility || !menu.offsetHeight) continue;
+    const box = field.getBoundingClientRect(), below = innerHeight - box.bottom;
+    const above = menu.offsetHeight > below && box.top > below;
+    const room = above ? box.top : below, height = Math.min(menu.offsetHeight, room);
+    menu.style.top = `${above ? box.top - height : box.bottom}px`;
+    menu.style.left = `${box.left}px`;
+    menu.style.minWidth = `${box.width}px`;
+    menu.style.maxHeight = `${room}px`;
+    menu.style.visibility = "visible";
+  }
+}
+
+setInterval(placeMenus, period);
+
 // Pictures marked `marked` are shown enlarged about the pointer, with the marks where they were
 // refined to. A pixel's centre is at integers; canvas and overlay count from the picture's corner.
 const across = 33;
