@@ -28,7 +28,9 @@ from measure.session import dump_toml, open_streams, read_calibration
 
 DEMO_BOARDS = ("charuco_8x5_27", "chessboard_9x6_25")
 _RATE_HZ = 10.0
-_HELD_TICKS = 12  # Pictures for which the board is held still: 1.2 s
+_HELD_TICKS = dict(zip(DEMO_BOARDS, (12, 24), strict=True))
+"""Pictures for which a board is held still: 1.2 s; 2.4 s of the one that takes longer to find, for
+a busy computer looks once a second, and twice at what rests."""
 _BODY_TICKS = 80  # Pictures of the body's motion, there; it comes back the same way
 _PX_PER_MM = 8.0  # Of the printed board
 
@@ -58,7 +60,10 @@ def demo_cameras(
     desk = folder / next_free(folder, "rig")
     desk.mkdir(parents=True)
     with ExitStack() as stack:
-        reels = {act: _reel(act, stack.enter_context(open_streams(acts[act]))) for act in acts}
+        held = _HELD_TICKS[board]
+        reels = {
+            act: _reel(act, stack.enter_context(open_streams(acts[act])), held) for act in acts
+        }
         stage = _HeldStage(reels, desk)
         stack.callback(stage.over.set)
         names = next(iter(reels.values())).streams
@@ -100,14 +105,14 @@ def _act_of(desk: Path) -> str:
     return "body" if is_placed else "lying"
 
 
-def _reel(act: str, streams: Mapping[str, object]) -> Reel:
+def _reel(act: str, streams: Mapping[str, object], held_ticks: int) -> Reel:
     """When which picture is shown; a scene at rest has two pictures, which take turns."""
     some = dict(streams)
     size = min(len(one) for one in some.values())  # type: ignore[arg-type]
     if act == "body":
         places = [*range(size), *range(size - 2, 0, -1)]
     else:
-        places = [2 * (k // 2) + t % 2 for k in range(0, size, 2) for t in range(_HELD_TICKS)]
+        places = [2 * (k // 2) + t % 2 for k in range(0, size, 2) for t in range(held_ticks)]
     turns = np.arange(len(places)) / _RATE_HZ, np.array(places)
     return Reel(some, dict.fromkeys(some, turns), len(places) / _RATE_HZ)  # type: ignore[arg-type]
 

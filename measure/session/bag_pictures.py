@@ -168,7 +168,7 @@ class BagStream(Stream):
         self._topic, index = topic, topic.index
         self._bits: int | None = None
         source, notes = f"{topic.path}#{topic.name}", list(index.notes)
-        times_s: Floats = 1e-9 * index.stamps_ns
+        times_s: Floats = np.asarray(1e-9 * index.stamps_ns, dtype=np.float64)
         if stamps is not None:
             times_s = stamps.times_s
         self.begins_s = 1e-9 * topic.begins_ns

@@ -72,27 +72,27 @@ class _Names(FileModel):
 
 
 class _Log(FileModel):
-    joints: Annotated[list[_Names], Field(default_factory=list)]
-    position: Annotated[list[_Names], Field(default_factory=list)]
+    joints: list[_Names] = Field(default_factory=list)
+    position: list[_Names] = Field(default_factory=list)
     time: str | None = None
     time_unit: Literal["s", "ms", "us", "ns"] | None = None
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
-    topics: Annotated[list[str], Field(default_factory=list)]
-    tip_topics: Annotated[list[str], Field(default_factory=list)]
+    topics: list[str] = Field(default_factory=list)
+    tip_topics: list[str] = Field(default_factory=list)
     frames: tuple[str, str] | None = None
 
 
 class _Robot(FileModel):
     robot: str
-    features: Annotated[list[_Column], Field(default_factory=list)]
+    features: list[_Column] = Field(default_factory=list)
     position: Annotated[list[str], Field(min_length=3, max_length=3)] | None = None
     position_to_mm: Annotated[FiniteFloat, Field(ge=1e-9, le=1e9)] | None = None
-    joints: Annotated[list[_JointTable], Field(default_factory=list)]
+    joints: list[_JointTable] = Field(default_factory=list)
     dh: Literal["craig", "standard"] = "craig"
     urdf: str | None = None
     base: str | None = None
     tip: str | None = None
-    coupled: Annotated[list[int], Field(default_factory=list)]
+    coupled: list[int] = Field(default_factory=list)
     tool_mm: tuple[_Length, _Length, _Length] = (0.0, 0.0, 0.0)
     tool_rotvec_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
     log: _Log = _Log()

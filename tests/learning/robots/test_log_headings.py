@@ -155,7 +155,7 @@ def test_a_table_of_joints_is_none_of_tool_poses() -> None:
     assert not holds_tool_poses(["time_s", "x_mm", "y_mm", "z_mm", *NAMES])
 
 
-def test_a_bag_that_was_cut_off_is_read_or_named(tmp_path: Path) -> None:
+def test_a_bag_that_was_cut_off_is_read_and_named(tmp_path: Path, caplog) -> None:
     for ending in ("mcap", "db3"):
         path = tmp_path / (f"log.{ending}" if ending == "mcap" else "bag")
         with Bag(path) as bag:
@@ -164,8 +164,9 @@ def test_a_bag_that_was_cut_off_is_read_or_named(tmp_path: Path) -> None:
     inside = next((tmp_path / "log.mcap").glob("*.mcap"), tmp_path / "log.mcap")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(inside.read_bytes()[: inside.stat().st_size // 2])
-    with pytest.raises(EstimatorError, match=r"was cut off: .*`mcap recover .*cut.mcap -o "):
-        read_log(cut, find_schema("ur5e"))
+    some = read_log(cut, find_schema("ur5e"))
+    assert "its end is missing (the recording was cut off)" in caplog.text
+    assert 0 < len(some.times_s) <= len(TIMES)
     (tmp_path / "bag" / "metadata.yaml").unlink()
     found = read_log(tmp_path / "bag", find_schema("ur5e"))
     np.testing.assert_allclose(found.reported_mm, tips_of("ur5e"))
