@@ -105,7 +105,9 @@ def rig_notes(
 ) -> tuple[str, ...]:
     """What may be wrong with the rig, the likeliest first, a line each; by a run's tables."""
     seen, sightings = _sightings(detections, poses)
-    causes = list(diagnose(Evidence.of(sightings, body, cameras)).causes)
+    enough = len(sightings) >= MIN_FRAME_SETS
+    found = diagnose(Evidence.of(sightings, body, cameras) if enough else None)
+    causes = list(found.causes)
     told = () if causes else contradictions(body, distances)
     if not causes and not told:
         causes = size_causes(body, outline_growth(seen, body, cameras))
