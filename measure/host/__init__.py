@@ -1,7 +1,15 @@
 """All a plugin author needs to read: interfaces, the hooks, and how plugins are found."""
 
 from measure.host.dataset import Dataset
-from measure.host.estimator import Correction, Epoch, Estimator, LeftOut, Report, quiet
+from measure.host.estimator import (
+    Correction,
+    Epoch,
+    Estimator,
+    LeftOut,
+    RecordingLeftOut,
+    Report,
+    quiet,
+)
 from measure.host.hooks import ENTRY_POINT_GROUP, hookimpl
 from measure.host.interfaces import (
     Detector,
@@ -24,8 +32,8 @@ from measure.processes import needed
 __all__ = [
     "ENTRY_POINT_GROUP", "Broken", "Conclusion", "Core", "Correction", "Dataset", "Detector",
     "Distribution", "Epoch", "Estimates", "Estimator", "EventMark", "Graph", "LeftOut", "Loaded",
-    "OnnxEstimator", "OnnxModel", "Plugin", "PoseSolver", "Registry", "Report", "Review",
-    "Scaling", "SelfCalibratingDetector", "SentPose", "SentRun", "Setting", "Settings", "Sink",
-    "Tracker", "Triangulator", "Value", "describe_settings", "discover", "hookimpl", "host_port",
-    "needed", "plain_name", "plain_names", "quiet", "seal", "setting",
+    "OnnxEstimator", "OnnxModel", "Plugin", "PoseSolver", "RecordingLeftOut", "Registry", "Report",
+    "Review", "Scaling", "SelfCalibratingDetector", "SentPose", "SentRun", "Setting", "Settings",
+    "Sink", "Tracker", "Triangulator", "Value", "describe_settings", "discover", "hookimpl",
+    "host_port", "needed", "plain_name", "plain_names", "quiet", "seal", "setting",
 ]  # fmt: skip

@@ -191,13 +191,15 @@ class OffsetFollower:
 
     def forget(self) -> None:
         """The robot was started again: its offsets are others."""
-        self._mean: Floats | None = None
+        self._begun = False
+        self._mean: Floats = np.zeros(0)
+        self._spread: Floats = np.zeros((0, 0))
         self._time_s = self._held_s = np.nan
         self._surprise, self._expected = _TRUSTED, _TRUSTED
 
     def corrected(self, correction: Correction, state: Floats, time_s: float) -> Correction:
         """A model's correction with the offset at a state (features,)."""
-        if self._mean is None:
+        if not self._begun:
             return correction
         if not 0 <= time_s - self._held_s < _HOLD_S:
             self._fade(state, time_s)
@@ -218,7 +220,7 @@ class OffsetFollower:
         covariance: Floats,
     ) -> None:
         """Take the true position (3,) at a state that the model corrected so."""
-        if self._mean is None:
+        if not self._begun:
             self._begin(correction, state, time_s)
         self._fade(state, time_s)
         design, self._held_s = self._design(state), np.nan
@@ -248,11 +250,11 @@ class OffsetFollower:
         stated = float(np.trace(correction.covariance))
         self._prior = _SHARE * stated / float((design**2).sum()) * np.eye(design.shape[1])
         self._mean, self._spread = np.zeros(len(self._prior)), self._prior
-        self._at, self._time_s = self._place(state), time_s
+        self._at, self._time_s, self._begun = self._place(state), time_s, True
 
     def _fade(self, state: Floats, time_s: float) -> None:
         """Bring the offsets to a state; one earlier than the last changes nothing."""
-        if self._mean is None or time_s < self._time_s:
+        if time_s < self._time_s:
             return
         place = self._place(state)
         kept = float(np.exp(-np.abs(place - self._at).sum() / _MEMORY_MM))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -47,10 +48,11 @@ class _Kernel:
 
     def neighbours(self) -> list[_Kernel]:
         """A step away in one parameter."""
-        values = self.joints, self.plays, self.noise
-        steps = np.ones((6, 3))
-        steps[range(6), [2, 2, 1, 1, 0, 0]] = [_STEP, 1 / _STEP] * 3
-        return [_Kernel(*(values * step).tolist()) for step in steps]
+        return [
+            replace(self, **{name: getattr(self, name) * factor})
+            for name in ("noise", "plays", "joints")
+            for factor in (_STEP, 1.0 / _STEP)
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +204,8 @@ class GpEstimator(WithinTrajectoryEstimator):
         return 1 + self._bank.size
 
 
-def _gram(near: Floats, slopes: Floats, noise: float) -> Floats:
-    """Covariance (3n, 3n) of tip errors, of that of each output (n, n)."""
+def _gram(near: Any, slopes: Any, noise: float) -> Any:
+    """Covariance (3n, 3n) of tip errors, of that of each output (n, n), in float32."""
     count, flat = len(slopes), slopes.reshape(-1, slopes.shape[2])
     gram = (flat @ flat.T).reshape(count, 3, count, 3)
     gram *= near[:, None, :, None]
