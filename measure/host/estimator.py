@@ -45,8 +45,8 @@ class Epoch:
 class RecordingLeftOut:
     """A recording that a fit has not seen, its covariance fitted to the other such recordings."""
 
-    name: str
-    labels: int
+    name: str  # of the recording
+    labels: int  # how many it was judged by
     before_mm: float  # RMS error, mm
     after_mm: float  # what the fit left of it, mm
     stated_mm: float  # the SD stated of that, RMS, mm
