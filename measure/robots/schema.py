@@ -360,9 +360,11 @@ def _check_turns(where: str, schema: StateSchema, joints: Floats) -> None:
             )
         values = values[np.isfinite(values)]
         if joint.prismatic and (values > _LARGEST_SLIDE_MM).any():
+            joint_names = _joint_features(schema)
             units = (
                 f'{{name = "{n}", unit = "{"mm" if n == name else f.unit}"}}'
                 for n, f in ((f.name, f) for f in schema.features)
+                if n in joint_names
             )
             raise EstimatorError(
                 f"{where}: joint '{name}' seems to slide {values.max() / 1e3:.0f} m: is its "
