@@ -165,7 +165,6 @@ def test_a_body_that_creeps_on_the_tool_is_named(arm: Arm) -> None:
     turns = RigidTransform.from_rotvec(creep * np.array([0.0, 0.1, 0.0])).rotation
     assert arm.track.rotations is not None
     track = moved(arm.track, arm.track.positions_mm, arm.track.rotations @ turns)
-    with pytest.raises(
-        EstimatorError, match=r"the body on the tool moved by \d\.\d mm and [456]\."
-    ):
+    words = r"the body on the tool moved by \d\.\d mm and [456]\."
+    with pytest.raises(EstimatorError, match=words):
         register([Recording(track, arm.log)], RegisterOptions())
