@@ -41,7 +41,7 @@ from measure.checking.coverage import disagreeing_causes
 from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose
 from measure.checking.evidence import evidence_of
 from measure.checking.motion import MotionCheck, check_motion, flag_findings
-from measure.checking.pictures import gaps_alone
+from measure.checking.pictures import gaps_alone, rate_causes
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
@@ -206,13 +206,14 @@ class _Look:
     @property
     def doubtful(self) -> bool:
         """Whether a clock may be so far off that poses cannot tell."""
-        told = bool(self.causes) and self.causes[0].cause in (*_FIRST_OF_ALL, Word.SAME_PICTURES)
+        first = self.causes[:1]
+        told = any(c.cause in (*_FIRST_OF_ALL, Word.SAME_PICTURES) or c.unit == "%" for c in first)
         return not told and (0 < self.posed < len(self.searched) / 2 or self.diagnosis.unexplained)
 
     @property
     def late_s(self) -> dict[str, float]:
         """What the cameras' motion says is to be added to their stamps, where it is much."""
-        clocks = [cause for cause in self.causes if cause.cause is Word.CLOCK]
+        clocks = [c for c in self.causes if c.cause is Word.CLOCK and c.unit == "ms"]
         found = {cause.of: 1e-3 * (cause.estimate or 0.0) for cause in clocks}
         return {name: off_s for name, off_s in found.items() if abs(off_s) > _FAR_S}
 
@@ -299,6 +300,7 @@ class _Looking:
         shape = check_body(located, session.body)
         causes = [
             *duplicates.causes(),
+            *rate_causes({name: s.times_s for name, s in session.streams.items()}),
             *arrangement_causes(every, searched, session.body, session.cameras),
             *combs.causes(),
         ]

@@ -103,6 +103,8 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
     gaps = np.nonzero(steps > _DROPPED_STEPS * period)[0]
     lost = int(np.sum(np.rint(steps[gaps] / period) - 1))
     notes = StampErrors.of(times_s).notes
+    if burst := _burst(camera, steps, gaps):
+        return [burst]
     out = [Finding(Level.WEAK, "clock", f"{camera}: {note}") for note in notes]
     if lost:
         worst = int(gaps[np.argmax(steps[gaps])])
@@ -116,6 +118,64 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
             )
         )
     return out
+
+
+_BURST_STEPS, _LEAST_BURSTS = 3.0, 3
+"""Mean step in median steps, from which pictures come in bursts; and of how many that is known."""
+
+
+def _burst(camera: str, steps: Floats, gaps: Ints) -> Finding | None:
+    """A line if pictures arrive several at once, with stamps of their arrival."""
+    sizes = np.diff(gaps)
+    mean_s = float(np.mean(steps))
+    if len(sizes) < _LEAST_BURSTS or mean_s < _BURST_STEPS * np.median(steps):
+        return None
+    size = int(np.median(sizes))
+    if size < 2 or np.mean(np.abs(sizes - size) <= 1) < 0.8:
+        return None
+    every_ms = 1e3 * float(np.median(np.diff(np.cumsum(steps)[gaps])))
+    text = (
+        f"{camera}: pictures arrive in bursts of {size} every {every_ms:.0f} ms "
+        f"({every_ms / size:.0f} ms a picture on average): the stamps are of their arrival, not of "
+        "their exposure; let the camera stamp them, or spread each burst evenly"
+    )
+    return Finding(Level.WRONG, "clock", text)
+
+
+_RATE_SHARE, _COUNT_SHARE = 0.03, 0.02
+"""By which a camera's duration differs from the others', where its number of pictures does not."""
+_EVEN_SHARE = 0.02  # By which mean and median step differ where no picture is missing
+
+
+def rate_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
+    """Cameras whose stamps run at another rate: as many pictures last longer, or less long."""
+    counts = {name: len(t) for name, t in times_s.items()}
+    even = {n: t for n, t in times_s.items() if len(t) > 1 and _even(np.diff(t))}
+    lasts_s = {name: float(t[-1] - t[0]) for name, t in even.items()}
+    out = []
+    for name, last_s in lasts_s.items():
+        others = [n for n in lasts_s if n != name]
+        if len(others) < 2:
+            continue
+        count = np.median([counts[n] for n in others])
+        other_s = float(np.median([lasts_s[n] for n in others]))
+        scatter = np.ptp([lasts_s[n] for n in others]) / max(other_s, 1e-9)
+        ratio = last_s / max(other_s, 1e-9)
+        same = abs(counts[name] / count - 1) < _COUNT_SHARE
+        if same and scatter < _COUNT_SHARE and abs(ratio - 1) > _RATE_SHARE:
+            text = (
+                f"{name}: its {counts[name]} pictures last {last_s:.3f} s by its stamps, as many "
+                f"of the others {other_s:.3f} s: the stamps run {ratio:.3f} times as fast as they "
+                "should"
+            )
+            cure = "state the rate at which it was recorded, or give it stamps of its own"
+            of_rate = 100 * (ratio - 1)
+            out.append(Cause(Word.CLOCK, name, text, cure, Level.WRONG, of_rate, None, "%"))
+    return out
+
+
+def _even(steps: Floats) -> bool:
+    return bool(abs(np.mean(steps) / np.median(steps) - 1) < _EVEN_SHARE)
 
 
 def gaps_alone(times_s: Mapping[str, Floats]) -> dict[str, Floats]:

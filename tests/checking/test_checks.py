@@ -16,6 +16,7 @@ from measure.checking import (
     stamp_findings,
     with_velocities,
 )
+from measure.checking.pictures import rate_causes
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
@@ -188,3 +189,20 @@ def test_occasional_overexposure_is_no_finding():
 def test_too_short_a_recording_is_weak():
     (finding,) = stamp_findings("cam0", np.array([0.0, 0.1]), np.arange(2))
     assert "only 2 frames" in finding.text
+
+
+def test_bursts_are_no_dropped_frames():
+    times = np.repeat(np.arange(20) / 5, 6) + np.tile(np.arange(6), 20) * 4e-4
+    (finding,) = stamp_findings("cam1", times, np.arange(120))
+    assert "bursts of 6 every 2" in finding.text
+    assert finding.level is Level.WRONG
+
+
+def test_as_many_pictures_that_last_longer_run_at_another_rate():
+    even = {f"cam{k}": np.arange(30) / 30 for k in range(4)}
+    assert rate_causes(even) == []
+    assert rate_causes({**even, "cam1": np.arange(24) / 30}) == [], "it stopped earlier"
+    assert rate_causes({**even, "cam1": np.arange(25) / 25}) == [], "it is slower"
+    (cause,) = rate_causes({**even, "cam1": np.arange(30) / 25})
+    assert (cause.cause, cause.of) == ("clock", "cam1")
+    assert "1.200 times as fast" in cause.text
