@@ -191,7 +191,7 @@ class Preview:
     def _drawn(self, pixels: Bytes, camera: str, width_px: int) -> bytes:
         scale = min(1.0, width_px / pixels.shape[1])
         size = max(1, round(scale * pixels.shape[1])), max(1, round(scale * pixels.shape[0]))
-        small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+        small = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
         spoiled = cv2.resize(clipped(pixels), size, interpolation=cv2.INTER_NEAREST)
         small[spoiled > 0] = _MARK_BGR
         if self.held(camera) is not None:
