@@ -30,7 +30,6 @@ SHOWN = {"cameras-phone": 320, "calibration-phone": 320, "marks-tablet": 560, "m
 WIDTH_PX = 900
 AZIMUTHS_DEG = (45.0, 80.0, 115.0, 150.0)  # Of the cameras before which the board is waved
 LIVE = "document.querySelectorAll('img.live[src^=blob]').length >= 2"
-VIEWER = "[...document.querySelectorAll('.q-checkbox')].find(c => c.innerText == '3-D viewer')"
 
 
 def main(folder: Path | None) -> None:
@@ -54,12 +53,9 @@ def main(folder: Path | None) -> None:
             page.idle(8.0)
             _take(page, "cameras", folder)
             go(page, address + "measure")
-            unfold(page, "3-D viewer")
-            page.wait_for(f"!!{VIEWER}", 30)
-            page.evaluate(f"{VIEWER}.click()")
             press(page, "measure$")
             page.wait_for("document.querySelector('[data-pose]')?.innerText.includes('±')", 120)
-            page.idle(30.0)
+            page.idle(3.0)
             _take(page, "measure", folder)
         _calibrate(page, Path(scratch), folder)
         _make_the_body(page, Path(scratch), folder)
