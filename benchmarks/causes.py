@@ -14,9 +14,10 @@ import re
 import shutil
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -151,7 +152,7 @@ def warped(image: Bytes, scale: float = 1.0, right_px: float = 0.0, down_px: flo
     """Enlarged about its middle and moved."""
     height, width = image.shape[:2]
     middle = (1 - scale) * (np.array([width, height]) - 1) / 2
-    by = np.float32([[scale, 0, middle[0] + right_px], [0, scale, middle[1] + down_px]])
+    by = np.array([[scale, 0, middle[0] + right_px], [0, scale, middle[1] + down_px]], np.float32)
     return np.asarray(cv2.warpAffine(image, by, (width, height), flags=cv2.INTER_CUBIC), np.uint8)
 
 
@@ -211,7 +212,14 @@ def faults() -> Iterator[Fault]:
     scale, square = ("scale", "board-square"), ("moved", "principal-point")
     strengths = (SLIGHT, CLEAR, GROSS)
 
-    def each(name, causes, of, make, *amounts, of_strengths=strengths):
+    def each(
+        name: str,
+        causes: tuple[str, ...],
+        of: str,
+        make: Callable[[Any], Change],
+        *amounts: float,
+        of_strengths: Sequence[str] = strengths,
+    ) -> Iterator[Fault]:
         for strength, amount in zip(of_strengths, amounts, strict=False):
             yield Fault(f"{name} {amount:g}", strength, causes, of, make(amount))
 
@@ -278,14 +286,25 @@ def healthy() -> Iterator[Fault]:
     noise = np.random.default_rng(1).normal(0, 3, (720, 1280, 3))
     grain = lambda im, k: im[k] + np.roll(noise, 37 * k, axis=1)[: len(im[k]), : im[k].shape[1]]  # noqa: E731
     yield Fault("grain", "", (), "", pictures(grain))
-    yield Fault("dim", "", (), "", pictures(lambda im, k: 0.7 * im[k]))
-    yield Fault("blur", "", (), "", pictures(lambda im, k: cv2.GaussianBlur(im[k], (0, 0), 1.0)))
+    yield Fault("dim", "", (), "", pictures(lambda im, k: np.asarray(0.7 * im[k], np.uint8)))
+    yield Fault(
+        "blur",
+        "",
+        (),
+        "",
+        pictures(lambda im, k: np.asarray(cv2.GaussianBlur(im[k], (0, 0), 1.0), np.uint8)),
+    )
+
+
+def _blurred(images: list[Bytes], place: int) -> Bytes:
+    return np.asarray(cv2.GaussianBlur(images[place], (0, 0), 1.0), np.uint8)
 
 
 def _squeezed(quality: int) -> Change:
     def changed(folder: Path) -> None:
         for path in folder.glob("cam*/*.jpg"):
-            cv2.imwrite(str(path), cv2.imread(str(path)), [cv2.IMWRITE_JPEG_QUALITY, quality])
+            image = np.asarray(cv2.imread(str(path)), np.uint8)
+            cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, quality])
 
     return changed
 

@@ -96,8 +96,9 @@ def run(
         reel = Reel(writer.kept_runs) if kept and options.wanted else None
         writer.begin()
         log = stack.enter_context(_log(session, out, options, kept))
-        for number in range(kept if reel else 0):
-            log.add(reel.measurements(number))
+        for number in range(kept):
+            if reel is not None:
+                log.add(reel.measurements(number))
         for frame_set, measurements in chain(first, measured):
             writer.append(*measurements)
             log.add(measurements, frame_set)
@@ -201,12 +202,13 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
 
 def _log(session: Session, out: Path, options: RunOptions, kept: int) -> RunLog:
     """The recording of a run of this session, its truth and its videos in it."""
-    given = session.name, session.bodies, session.cameras, out, options, kept
-    if not options.wanted:
-        return RunLog(*given)
-    from measure.viewing.recording import passed_videos
+    truths, videos = dict[str, Trajectory](), None
+    if options.wanted:
+        from measure.viewing.recording import passed_videos
 
-    return RunLog(*given, _truths(session), passed_videos(session) if options.image_every else {})
+        truths = _truths(session)
+        videos = passed_videos(session) if options.image_every else None
+    return RunLog(session.name, session.bodies, session.cameras, out, options, kept, truths, videos)
 
 
 def _recording_due(

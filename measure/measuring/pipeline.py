@@ -91,8 +91,17 @@ class Pipeline:
         frame_set = new.frame_set
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
-            head = frame_set.index, frame_set.time_s, _frames(frame_set)
-            return Draft(Measurement(*head, (), (), None, Status.SKIPPED, "restarting"), ())
+            skipped = Measurement(
+                index=frame_set.index,
+                time_s=frame_set.time_s,
+                frames=_frames(frame_set),
+                views=(),
+                positions=(),
+                pose=None,
+                status=Status.SKIPPED,
+                reason="restarting",
+            )
+            return Draft(skipped, ())
         draft = self._measure_once(frame_set, expected, pool)
         if self.stages.remeasure_after_search:
             draft = self._remeasured(frame_set, self._searched(frame_set, draft, pool), pool)

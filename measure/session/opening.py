@@ -312,8 +312,9 @@ def _open_stream(table: CameraTable, folder: Path) -> Stream:
     assert table.images is not None
     assert stamps is not None
     assert stamps_path is not None
-    given = table.name, folder, table.images, stamps, stamps_path, offset_s
-    return open_image_stream(*given, table.bit_depth)
+    return open_image_stream(
+        table.name, folder, table.images, stamps, stamps_path, offset_s, bits=table.bit_depth
+    )
 
 
 def _check_size(stream: Stream, camera: Camera, calibrated: Path) -> None:

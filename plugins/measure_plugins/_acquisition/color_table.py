@@ -218,7 +218,7 @@ def with_shade(colors: tuple[BallColor, ...]) -> Bytes:
 def much_in_shade(lit: Bytes, shaded: Bytes, bit: int) -> bool:
     """Whether so much of a colour, by lit and shaded pixels (h, w), is in shade as to cut balls."""
     dark, light = (np.count_nonzero(bits & np.uint8(bit)) for bits in (shaded, lit))
-    return dark > (1 + _MUCH_SHADE) * light
+    return bool(dark > (1 + _MUCH_SHADE) * light)
 
 
 def _reaching(color: BallColor) -> BallColor:

@@ -20,7 +20,7 @@ def majority(bits: Bytes) -> Bytes:
     out, there = np.zeros_like(bits), int(np.bitwise_or.reduce(bits, axis=None))
     for bit in (1 << k for k in range(8)):
         if there & bit:
-            out |= cv2.medianBlur(bits & np.uint8(bit), 3)
+            out |= np.asarray(cv2.medianBlur(bits & np.uint8(bit), 3), np.uint8)
     return out
 
 
