@@ -224,7 +224,10 @@ def faults() -> Iterator[Fault]:
             yield Fault(f"{name} {amount:g}", strength, causes, of, make(amount))
 
     two = (CLEAR, GROSS)
-    late = lambda name: lambda s: stamps(name, lambda _, t: t + s)  # noqa: E731
+
+    def late(name: str) -> Callable[[float], Change]:
+        return lambda s: stamps(name, lambda _, t: t + s)
+
     yield from each("clock s", ("clock",), "cam1", late("cam1"), 0.008, 0.03, 0.15)
     yield from each("clock s of cam2", ("clock",), "cam2", late("cam2"), -0.012, -0.05, -0.2)
     step = lambda s: stamps("cam1", lambda n, t: t + s * (n >= 15))  # noqa: E731
@@ -256,7 +259,10 @@ def faults() -> Iterator[Fault]:
     yield from each("radius mm", ("radius",), "green", other, 0.7, -1.5, 3.0)
     place = lambda mm: body(yellow=lambda c, r: (c + np.array([0, mm, 0]), r))  # noqa: E731
     yield from each("ball place mm", ("ball-place",), "yellow", place, 0.5, 2.0, 6.0)
-    flip = lambda *names: pictures(lambda im, k: im[k][:, ::-1], *names)  # noqa: E731
+
+    def flip(*names: str) -> Change:
+        return pictures(lambda im, k: im[k][:, ::-1], *names)
+
     yield Fault("mirrored", GROSS, ("mirrored",), "cam1", flip("cam1"))
     yield Fault("mirrored all", GROSS, ("mirrored",), "", flip())
     yield Fault("balls exchanged", GROSS, ("exchanged-balls",), "", _exchanged_balls)
