@@ -25,7 +25,7 @@ _LINGER_S = 1.0  # How long readers may still take what came last
 
 
 @dataclass(frozen=True, eq=False)
-class Reel:
+class PictureReel:
     """Pictures of cameras, and when the turn of each comes."""
 
     streams: Mapping[str, Stream]
@@ -35,7 +35,7 @@ class Reel:
     lasts_s: float  # then it may begin again
 
     @classmethod
-    def of_session(cls, streams: Mapping[str, Stream]) -> Reel:
+    def of_session(cls, streams: Mapping[str, Stream]) -> PictureReel:
         """A recording, at its own stamps."""
         first = min(float(stream.times_s[0]) for stream in streams.values())
         last = max(float(stream.times_s[-1]) for stream in streams.values())
@@ -55,7 +55,7 @@ class Screening:
     """
 
     def __init__(
-        self, reel: Reel, rate: float = 1.0, loop: bool = True, wait_s: float = 0.0
+        self, reel: PictureReel, rate: float = 1.0, loop: bool = True, wait_s: float = 0.0
     ) -> None:
         self._reel, self._rate, self._loop, self._wait_s = reel, rate, loop, wait_s
         self._begun_s = time.monotonic() if loop else None
@@ -134,7 +134,9 @@ def play_cameras(
     """
     options.check_pace()
     with open_streams(session) as streams:
-        shown = Screening(Reel.of_session(streams), options.rate, options.loop, options.wait_s)
+        shown = Screening(
+            PictureReel.of_session(streams), options.rate, options.loop, options.wait_s
+        )
         feeds = {name: partial(shown.parts, name) for name in streams}
         with until_stopped(over) as stop, serve_cameras(feeds, port) as addresses:
             tell(camera_line(addresses))

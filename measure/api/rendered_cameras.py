@@ -15,7 +15,7 @@ import numpy as np
 
 from measure.api.calibrating import shipped_targets
 from measure.api.folders import next_free
-from measure.api.playing_cameras import Reel, Screening
+from measure.api.playing_cameras import PictureReel, Screening
 from measure.arrays import Bytes
 from measure.calibration import read_board
 from measure.calibration.printing import Sheet as PrintedSheet
@@ -74,7 +74,7 @@ def demo_cameras(
 class _HeldStage:
     """What the cameras see now, by what the rig's folder holds."""
 
-    def __init__(self, reels: Mapping[str, Reel], desk: Path) -> None:
+    def __init__(self, reels: Mapping[str, PictureReel], desk: Path) -> None:
         self._reels, self._desk = reels, desk
         self.over = threading.Event()
         self._act = "waved"
@@ -105,7 +105,7 @@ def _act_of(desk: Path) -> str:
     return "body" if is_placed else "lying"
 
 
-def _reel(act: str, streams: Mapping[str, object], held_ticks: int) -> Reel:
+def _reel(act: str, streams: Mapping[str, object], held_ticks: int) -> PictureReel:
     """When which picture is shown; a scene at rest has two pictures, which take turns."""
     some = dict(streams)
     size = min(len(one) for one in some.values())  # type: ignore[arg-type]
@@ -114,7 +114,7 @@ def _reel(act: str, streams: Mapping[str, object], held_ticks: int) -> Reel:
     else:
         places = [2 * (k // 2) + t % 2 for k in range(0, size, 2) for t in range(held_ticks)]
     turns = np.arange(len(places)) / _RATE_HZ, np.array(places)
-    return Reel(some, dict.fromkeys(some, turns), len(places) / _RATE_HZ)  # type: ignore[arg-type]
+    return PictureReel(some, dict.fromkeys(some, turns), len(places) / _RATE_HZ)  # type: ignore[arg-type]
 
 
 def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
@@ -147,14 +147,14 @@ def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
 def _write_board(folder: Path, board: str, poses: Sequence[RigidTransform], step: Progress) -> None:
     """A session of a board at rest in some poses, two pictures of each, which differ by noise."""
     from measure.simulation import Renderer
-    from measure.simulation.boards import Sheet, SheetPainter
+    from measure.simulation.boards import RenderedSheet, SheetPainter
     from measure.simulation.catalogue import webcam_scene
     from measure.simulation.sensor import develop, encode
 
     target = shipped_targets()[board]
     printed, first = target_sheet(target), read_board(target).points[:, :2].min(axis=0)
     left, top = (first - printed.origin_mm).tolist()
-    sheet = Sheet(_bitmap(printed), _PX_PER_MM, (left, top))
+    sheet = RenderedSheet(_bitmap(printed), _PX_PER_MM, (left, top))
     scene = replace(webcam_scene(), shown=(), attached=())
 
     def shoot(number: int) -> None:

@@ -24,7 +24,7 @@ _REDIRECTIONS = frozenset({301, 302, 303, 307, 308})
 _MAX_REDIRECTIONS = 4
 
 
-class Stream(io.RawIOBase):
+class HttpStream(io.RawIOBase):
     """What a connection delivers, within an allowance; more of it is an error."""
 
     def __init__(self, connection: socket.socket) -> None:
@@ -66,7 +66,7 @@ class Stream(io.RawIOBase):
 
 
 @contextmanager
-def open_stream(address: str) -> Iterator[tuple[HTTPResponse, Stream]]:
+def open_stream(address: str) -> Iterator[tuple[HTTPResponse, HttpStream]]:
     """Ask for a stream, and follow redirections.
 
     Login and password go to the address that they were given for, and nowhere else.
@@ -89,7 +89,7 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, Stream]]:
             kind = HTTPSConnection if place.scheme == "https" else HTTPConnection
             with closing(kind(place.place, timeout=PATIENCE_S)) as connection:
                 _ask(connection, place.target, first.login if place.origin == first.origin else "")
-                stream = Stream(connection.sock)
+                stream = HttpStream(connection.sock)
                 answer = HTTPResponse(cast("socket.socket", stream), method="GET")
                 with closing(answer):
                     answer.begin()

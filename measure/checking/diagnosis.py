@@ -74,7 +74,7 @@ def _cause(evidence: Evidence, one: Explanation, squares: bool) -> Cause | None:
     size = float(np.linalg.norm(values))
     axis = values / max(size, 1e-30)
     sd = float(np.sqrt(max(float(axis @ covariance @ axis), 0.0)))
-    part = _Part(evidence, hypothesis, values, size, sd)
+    part = _Search(evidence, hypothesis, values, size, sd)
     level = Level.WRONG if one.wrong else Level.WEAK
     if hypothesis.word is Word.CLOCK:
         if size < _CLOCK_NAMED_S:
@@ -98,7 +98,7 @@ def _cause(evidence: Evidence, one: Explanation, squares: bool) -> Cause | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _Search:
     """A hypothesis with its parameters."""
 
     evidence: Evidence
@@ -136,7 +136,7 @@ _Told = tuple[float, float, str, str, str]
 """Estimate, its standard deviation and unit; what is off; and what mends it."""
 
 
-def _clock(part: _Part) -> _Told:
+def _clock(part: _Search) -> _Told:
     return _clock_told(part.who, float(part.values[0]), part.sd)
 
 
@@ -154,7 +154,7 @@ def clock_cause(camera: str, ahead_s: float, rest: CameraClock | None) -> Cause:
     return Cause(Word.CLOCK, camera, text, remedy, Level.WRONG, estimate, sd, unit)
 
 
-def _clock_step(part: _Part) -> _Told:
+def _clock_step(part: _Search) -> _Told:
     off_s = float(part.values[0])
     text = (
         f"{part.who}: the clock steps by {-1e3 * off_s:+.0f} +- {1e3 * part.sd:.0f} ms at about "
@@ -167,7 +167,7 @@ def _clock_step(part: _Part) -> _Told:
     return -1e3 * off_s, 1e3 * part.sd, "ms", text, remedy
 
 
-def _turn_deg(part: _Part) -> tuple[float, float, float]:
+def _turn_deg(part: _Search) -> tuple[float, float, float]:
     """Mean shift in px, the turn in deg that makes it, and the latter's standard deviation."""
     index = [camera.name for camera in part.evidence.cameras].index(part.hypothesis.of)
     focal_px = part.evidence.cameras[index].intrinsics.focal_px
@@ -176,7 +176,7 @@ def _turn_deg(part: _Part) -> tuple[float, float, float]:
     return shift_px, turn, turn * part.sd / max(part.size, 1e-30)
 
 
-def _moved(part: _Part) -> _Told:
+def _moved(part: _Search) -> _Told:
     shift_px, turn, sd = _turn_deg(part)
     remedy = "was it touched? calibrate it again (`measure calibrate`, or `measure refine`)"
     if len(part.values) == 2:
@@ -194,14 +194,14 @@ def _moved(part: _Part) -> _Told:
     return turn, sd, "deg", text, remedy
 
 
-def _moved_at(part: _Part) -> _Told:
+def _moved_at(part: _Search) -> _Told:
     shift_px, _, _ = _turn_deg(part)
     turn, sd = float(np.degrees(part.size)), float(np.degrees(part.sd))
     text = f"{part.who} was moved by {shift_px:.1f} px ({turn:.2f} deg) at about {part.since}"
     return turn, sd, "deg", text, "measure up to there, or calibrate it again for the rest"
 
 
-def _zoom(part: _Part) -> _Told:
+def _zoom(part: _Search) -> _Told:
     estimate, sd = 100 * float(np.expm1(part.values[0])), 100 * part.sd
     amount = f"{estimate:+.2f} +- {sd:.2f} %"
     if part.since:
@@ -214,7 +214,7 @@ def _zoom(part: _Part) -> _Told:
     return estimate, sd, "%", text, remedy
 
 
-def _point(part: _Part) -> _Told:
+def _point(part: _Search) -> _Told:
     x, y = part.values.tolist()
     whose = f"{part.who}: its principal point is"
     if not part.hypothesis.of:
@@ -223,7 +223,7 @@ def _point(part: _Part) -> _Told:
     return part.size, part.sd, "px", text, "is another crop or resolution set? calibrate the lens"
 
 
-def _scale(part: _Part) -> _Told:
+def _scale(part: _Search) -> _Told:
     factor = float(np.exp(part.values[0]))
     text = (
         f"the balls are {factor:.4f} +- {part.sd:.4f} times as far apart as the body file says, "
@@ -236,7 +236,7 @@ def _scale(part: _Part) -> _Told:
     return factor, part.sd, "times", text, remedy
 
 
-def _radius(part: _Part) -> _Told:
+def _radius(part: _Search) -> _Told:
     share = float(np.expm1(part.values[0]))
     size = "larger" if share > 0 else "smaller"
     cure = "measure with callipers, or state a larger radius_tolerance_mm"
@@ -253,7 +253,7 @@ def _radius(part: _Part) -> _Told:
     return radius, sd, "mm", text, cure
 
 
-def _place(part: _Part) -> _Told:
+def _place(part: _Search) -> _Told:
     if not part.hypothesis.of:
         factor = float(np.exp(part.values[0]))
         body = part.evidence.body
@@ -272,14 +272,14 @@ def _place(part: _Part) -> _Told:
     return part.size, part.sd, "mm", text, "correct its place in the body file, or fix the ball"
 
 
-def _rolling(part: _Part) -> _Told:
+def _rolling(part: _Search) -> _Told:
     readout = 1e3 * float(part.values[0])
     whose = f"{part.who}: its shutter rolls" if part.hypothesis.of else "all shutters roll"
     text = f"{whose}, {readout:.1f} +- {1e3 * part.sd:.1f} ms from the first row to the last"
     return readout, 1e3 * part.sd, "ms", text, "state readout_s in the calibration"
 
 
-_WORDING: dict[Word, Callable[[_Part], _Told]] = {
+_WORDING: dict[Word, Callable[[_Search], _Told]] = {
     Word.CLOCK: _clock,
     Word.CLOCK_STEP: _clock_step,
     Word.MOVED: _moved,

@@ -202,7 +202,7 @@ class _System(NamedTuple):
 
 def _system(evidence: Evidence, here: Fit) -> _System:
     linear = _linearised(evidence, here.poses, here.hypotheses, here.values)
-    parts = _Reduced.of(evidence, linear, linear.by_rig)
+    parts = _Normal.of(evidence, linear, linear.by_rig)
     normal, right = parts.normal, parts.right
     nuisance = [evidence.shared(EDGE)]
     total = normal.sum(axis=0)
@@ -229,7 +229,7 @@ def _score(
     return gain - _price_of(hypothesis, evidence)
 
 
-class _Reduced(NamedTuple):
+class _Normal(NamedTuple):
     """Normal equations of q parameters by instant, the poses eliminated."""
 
     normal: Floats  # (k, q, q)
@@ -240,7 +240,7 @@ class _Reduced(NamedTuple):
     cost: float
 
     @classmethod
-    def of(cls, evidence: Evidence, linear: Linear, by_others: Floats) -> _Reduced:
+    def of(cls, evidence: Evidence, linear: Linear, by_others: Floats) -> _Normal:
         residuals, by_pose, _ = linear
         length = np.linalg.norm(residuals, axis=1)
         weight = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(length, 1e-9))
@@ -309,14 +309,14 @@ def _fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = 
         values[: len(start.values) - 1], values[-1] = start.values[:-1], start.values[-1]
     prior = np.zeros((count + 1, count + 1))
     prior[-1, -1] = _edge_prior(evidence)
-    best: tuple[float, Floats, RigidTransform, _Reduced, Floats] | None = None
+    best: tuple[float, Floats, RigidTransform, _Normal, Floats] | None = None
     for _ in range(_ITERATIONS):
         linear = _linearised(evidence, poses, some, values)
         columns = [
             (linear.by_rig @ h.basis) * h.holds(evidence.instants)[:, None, None] for h in some
         ]
         columns.append(linear.by_rig[:, :, [evidence.shared(EDGE)]])
-        parts = _Reduced.of(evidence, linear, np.concatenate(columns, axis=2))
+        parts = _Normal.of(evidence, linear, np.concatenate(columns, axis=2))
         cost = parts.cost + values[-1] ** 2 * prior[-1, -1]
         normal = parts.normal.sum(axis=0) + prior
         settled = best is not None and best[0] - cost < 1e-3 * abs(cost)
@@ -335,7 +335,7 @@ def _fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = 
     return Fit(tuple(some), values, poses, cost, covariance[:-1, :-1], freedom)
 
 
-def _covariance(evidence: Evidence, parts: _Reduced, normal: Floats, noise: float) -> Floats:
+def _covariance(evidence: Evidence, parts: _Normal, normal: Floats, noise: float) -> Floats:
     """Of noise, of constant biases, and between blocks of the recording (jackknife)."""
     inverse = symmetric_inverse(normal)
     right = parts.right.sum(axis=0)

@@ -77,13 +77,13 @@ class _Facts(_Metadata):
         return self
 
 
-class _Part(_Metadata):
+class _OfChain(_Metadata):
     rows: int
     trajectories: list[str]
 
 
 class _Card(_Metadata):
-    data: dict[str, _Part] = {}
+    data: dict[str, _OfChain] = {}
 
 
 _MODELS: dict[str, type[_Metadata]] = {"measure": _Facts, "card": _Card}

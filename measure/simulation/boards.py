@@ -22,7 +22,7 @@ _SIDE_PX = 4.0  # Beyond its outline, for the area in which a board is drawn
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class RenderedSheet:
     """A printed sheet, stiff and flat.
 
     Its frame is that of the board on it: in the plane z = 0, x right, y down, z into the paper.
@@ -43,7 +43,7 @@ class Sheet:
 class SheetPainter:
     """Draws a sheet into the pictures of one camera."""
 
-    def __init__(self, sheet: Sheet, camera: Camera) -> None:
+    def __init__(self, sheet: RenderedSheet, camera: Camera) -> None:
         self._sheet, self._camera = sheet, camera
 
     def paint(self, before: Linear, world_from_sheet: RigidTransform) -> Linear:

@@ -34,7 +34,7 @@ _COLUMNS = ("marker", "x y z mm", "u v px")
 
 
 @dataclass
-class _Marks:
+class _MarksPage:
     """What is being marked; it outlives the browser's page."""
 
     bench: Bench
@@ -146,7 +146,7 @@ def _where(mark: api.Mark) -> str:
 
 def add(bench: Bench) -> None:
     """Add the page."""
-    marks = _Marks(bench)
+    marks = _MarksPage(bench)
 
     @ui.page("/marks")
     def page_of_marks() -> None:
@@ -167,7 +167,7 @@ def add(bench: Bench) -> None:
             _picture(marks, marks.marking)
 
 
-def _head(bench: Bench, marks: _Marks, refresh: Callable[[], object]) -> None:
+def _head(bench: Bench, marks: _MarksPage, refresh: Callable[[], object]) -> None:
     """The pictures to mark, and the markers whose places are known."""
     there = api.contents_of(bench.folder)
     sources = {f.parent.name for f in bench.folder.glob("*/*.toml") if f.stem in _SOURCES}
@@ -188,7 +188,7 @@ def _head(bench: Bench, marks: _Marks, refresh: Callable[[], object]) -> None:
         ui.timer(0.5, lambda: put(opener, "primary", marks.marking is None))
 
 
-def _picture(marks: _Marks, marking: api.Marking) -> None:
+def _picture(marks: _MarksPage, marking: api.Marking) -> None:
     """A picture that is clicked into, and what is marked in it."""
 
     async def click(at: events.MouseEventArguments) -> None:
@@ -221,7 +221,7 @@ def _picture(marks: _Marks, marking: api.Marking) -> None:
     ui.timer(0.2, show)
 
 
-def _steps(bench: Bench, marks: _Marks, marking: api.Marking) -> None:
+def _steps(bench: Bench, marks: _MarksPage, marking: api.Marking) -> None:
     with ui.row().classes("line"):
         ui.select([*api.TAG_FAMILIES], label="Tags").bind_value(marks, "family")
         body = choice("Balls", bench, api.contents_of(bench.folder).bodies, newest=False)

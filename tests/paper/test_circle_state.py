@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from measure.model import Detection
 from measure.model.observations import Reason, State
-from measure_paper.tracking.circle_state import Circle, Evidence, advance, remember
+from measure_paper.tracking.circle_state import Circle, CircleEvidence, advance, remember
 
-GOOD = Evidence(found=True, consistent=True)
-UNKNOWN = Evidence(found=True)
-LOST = Evidence(found=False)
-OFF_COLOR = Evidence(found=True, color_ok=False, consistent=True)
-JUMP = Evidence(found=True, moved_too_far=True)
-WRONG = Evidence(found=True, consistent=False)
+GOOD = CircleEvidence(found=True, consistent=True)
+UNKNOWN = CircleEvidence(found=True)
+LOST = CircleEvidence(found=False)
+OFF_COLOR = CircleEvidence(found=True, color_ok=False, consistent=True)
+JUMP = CircleEvidence(found=True, moved_too_far=True)
+WRONG = CircleEvidence(found=True, consistent=False)
 N = 5
 
 
@@ -76,7 +76,7 @@ def test_no_recovery_without_3d_consistency():
 
 
 def test_a_suspended_circle_is_not_asked_for_its_motion():
-    jumped_but_consistent = Evidence(found=True, moved_too_far=True, consistent=True)
+    jumped_but_consistent = CircleEvidence(found=True, moved_too_far=True, consistent=True)
     assert run(LOST, *[jumped_but_consistent] * 6).effective
 
 

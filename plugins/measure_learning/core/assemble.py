@@ -146,7 +146,7 @@ def assemble(
 
 
 @dataclass(frozen=True, eq=False)
-class _Marks:
+class _EventMarks:
     """Flags of each row (n,): pose measured, state near in time, outlier, too uncertain."""
 
     measured: Bools
@@ -196,7 +196,7 @@ def _assemble_one(
     outlier = np.zeros(len(times), dtype=bool)
     outlier[row_of_pose] = _outliers(errors[row_of_pose], settings.outlier_sds)
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
-    marks = _Marks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
+    marks = _EventMarks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
     judged = marks.judged
     if (chain := log.schema.chain) is not None and track.rotations is not None:
         turned = judged[row_of_pose]
@@ -266,7 +266,11 @@ def _nothing_common(track: PoseTrack, log: CompleteStates, offset_s: float) -> E
 
 
 def _facts(
-    track: PoseTrack, marks: _Marks, bad_states: int, duration_s: float, clock: ClockOffset | None
+    track: PoseTrack,
+    marks: _EventMarks,
+    bad_states: int,
+    duration_s: float,
+    clock: ClockOffset | None,
 ) -> TrajectoryFacts:
     seen = np.isfinite(track.positions_mm).all(axis=1)
     return TrajectoryFacts(

@@ -169,7 +169,7 @@ class Paired:
 
 
 @dataclass(frozen=True, eq=False)
-class _Cause:
+class _Doubt:
     """What labels may be instead of errors: measured = frame(reported + R tool + v delay)."""
 
     frame: RigidTransform
@@ -226,7 +226,7 @@ def label_doubts(
     return tuple(f"{doubt}: {cure}" for doubt, cure in causes if doubt is not None)
 
 
-def _words(name: str, cause: _Cause) -> str:
+def _words(name: str, cause: _Doubt) -> str:
     turn = np.degrees(np.linalg.norm(cause.frame.rotvec))
     shift = np.linalg.norm(cause.frame.translation)
     tool = ", ".join(f"{value:.1f}" for value in cause.tool_mm)
@@ -241,7 +241,7 @@ def _words(name: str, cause: _Cause) -> str:
     return f"{' and '.join(parts)} {verb} them but for {cause.left_mm:.2f} mm"
 
 
-def _explain(pairs: Paired, columns: list[int]) -> _Cause:
+def _explain(pairs: Paired, columns: list[int]) -> _Doubt:
     """Least squares over a frame (0 to 5), a tool (6 to 8) and a delay (9), as far as asked for."""
     n = len(pairs.reported_mm)
     turn = np.broadcast_to(np.eye(3), (n, 3, 3))
@@ -264,12 +264,12 @@ def _explain(pairs: Paired, columns: list[int]) -> _Cause:
         x[columns] = np.linalg.lstsq(chosen, left.ravel())[0]
         frame, rest = frame.perturb(x[:6]), rest + x[6:]
     place = pairs.reported_mm + turn @ rest[:3] + velocity * rest[3]
-    return _Cause(
+    return _Doubt(
         frame, rest[:3], float(rest[3]), rms_length(pairs.measured_mm - frame.apply(place))
     )
 
 
-def _own(pairs: Paired, cause: _Cause) -> bool:
+def _own(pairs: Paired, cause: _Doubt) -> bool:
     """Whether joints homed wrongly, and a wrist's gains, explain as much: a robot's own errors."""
     from scipy.optimize import lsq_linear  # slow to load
 

@@ -46,7 +46,7 @@ _EDGE = 0.08  # share of the poses that must be on either side
 
 
 @dataclass(frozen=True, eq=False)
-class _Slip:
+class _KnownSlip:
     """What may be wrong, and the sightings with it undone."""
 
     said: str
@@ -96,7 +96,7 @@ def _left_mm(seen: Sightings) -> float:
     return _size_mm(fit.residuals(seen.take(fit.kept))) / max(float(fit.kept.mean()), 1e-3)
 
 
-def _slips(seen: Sightings, names: Sequence[str], eye_in_hand: bool) -> Iterator[_Slip]:
+def _slips(seen: Sightings, names: Sequence[str], eye_in_hand: bool) -> Iterator[_KnownSlip]:
     assert seen.chain is not None
     poses = seen.poses
     back, P = inverted(poses.world_from_body, poses.covariances)
@@ -110,7 +110,7 @@ def _slips(seen: Sightings, names: Sequence[str], eye_in_hand: bool) -> Iterator
             " else the table holds body_from_world: invert it"
         )
     undone = replace(poses, world_from_body=back, covariances=P)
-    yield _Slip(said, cure, replace(seen, poses=undone))
+    yield _KnownSlip(said, cure, replace(seen, poses=undone))
     place = poses.world_from_body
     for mirror, how in _MIRRORS:
         both = RigidTransform(mirror @ place.rotation @ mirror, place.translation @ mirror)
@@ -120,7 +120,7 @@ def _slips(seen: Sightings, names: Sequence[str], eye_in_hand: bool) -> Iterator
             others.append((said, both))
         for said, other in others:
             cure = "write positions and rotations in the same axes, of a right hand"
-            yield _Slip(said, cure, replace(seen, poses=replace(poses, world_from_body=other)))
+            yield _KnownSlip(said, cure, replace(seen, poses=replace(poses, world_from_body=other)))
     yield from _joint_slips(seen, seen.chain, names)
 
 
@@ -134,14 +134,14 @@ _MIRRORS = (
 )
 
 
-def _joint_slips(seen: Sightings, chain: SerialChain, names: Sequence[str]) -> Iterator[_Slip]:
+def _joint_slips(seen: Sightings, chain: SerialChain, names: Sequence[str]) -> Iterator[_KnownSlip]:
     n = chain.size
     orders = itertools.permutations(range(n)) if n <= _MOST_JOINTS else _exchanges(n)
     for order in itertools.islice(orders, 1, None):
         held = ", ".join(names[k] for k in order)
         said = f"the joints are in another order ({held} are the robot's 1 to {n})"
         cure = "name the columns in the robot's order (robot.toml, [log] joints)"
-        yield _Slip(said, cure, _with_joints(seen, chain, list(order), np.ones(n)))
+        yield _KnownSlip(said, cure, _with_joints(seen, chain, list(order), np.ones(n)))
     for count in (1, 2, 3):
         for some in itertools.combinations(range(n), count):
             signs = np.ones(n)
@@ -149,7 +149,7 @@ def _joint_slips(seen: Sightings, chain: SerialChain, names: Sequence[str]) -> I
             which = " and ".join(names[k] for k in some)
             turn = "turns" if count == 1 else "turn"
             said, cure = f"{which} {turn} the other way", "reverse that in the log"
-            yield _Slip(said, cure, _with_joints(seen, chain, list(range(n)), signs))
+            yield _KnownSlip(said, cure, _with_joints(seen, chain, list(range(n)), signs))
 
 
 def _exchanges(n: int) -> Iterator[tuple[int, ...]]:

@@ -43,14 +43,14 @@ class Stops:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rests:
+class _RestSpans:
     """Intervals in which something stands still."""
 
     start_s: Floats  # (n,)
     end_s: Floats
 
-    def take(self, rows: Ints) -> _Rests:
-        return _Rests(self.start_s[rows], self.end_s[rows])
+    def take(self, rows: Ints) -> _RestSpans:
+        return _RestSpans(self.start_s[rows], self.end_s[rows])
 
 
 def pairs_in_table(track: PoseTrack, states: Floats) -> Stops:
@@ -107,11 +107,11 @@ def stop_sightings(stops: Sequence[Stops], schema: StateSchema) -> Sightings:
     )
 
 
-def _body_rests(track: PoseTrack, shared: SharedErrors | None) -> tuple[PoseTable, _Rests]:
+def _body_rests(track: PoseTrack, shared: SharedErrors | None) -> tuple[PoseTable, _RestSpans]:
     """Mean poses of the body's rests; every pose is one if they are far apart in time."""
     table = track.table()
     if float(np.median(np.diff(track.times_s))) > _SPARSE_S:
-        return table, _Rests(table.times_s, table.times_s)
+        return table, _RestSpans(table.times_s, table.times_s)
     found = find_rests(table, shared or SharedErrors((), _ANY_BODY), _STILL_S).rests
     ends = np.array([(rest.start_s, rest.end_s) for rest in found]).reshape(-1, 2)
     places = [rest.world_from_body for rest in found]
@@ -120,7 +120,7 @@ def _body_rests(track: PoseTrack, shared: SharedErrors | None) -> tuple[PoseTabl
         np.array([place.translation for place in places]).reshape(-1, 3),
     )
     covariances = np.array([rest.noise + rest.light for rest in found]).reshape(-1, 6, 6)
-    return PoseTable(ends.mean(axis=1), poses, covariances), _Rests(*ends.T)
+    return PoseTable(ends.mean(axis=1), poses, covariances), _RestSpans(*ends.T)
 
 
 _ANY_BODY = Body(
@@ -134,7 +134,7 @@ _ANY_BODY = Body(
 """Of poses in a table: where its balls are matters for how far the light reaches alone."""
 
 
-def _robot_rests(one: Recording) -> tuple[Floats, _Rests]:
+def _robot_rests(one: Recording) -> tuple[Floats, _RestSpans]:
     """States (n, features) of the robot's rests; every state is one if they are far apart."""
     log = one.log
     rows = np.flatnonzero(log.complete)
@@ -149,9 +149,11 @@ def _robot_rests(one: Recording) -> tuple[Floats, _Rests]:
     starts = np.flatnonzero(still & ~np.concatenate([[False], still[:-1]]))
     ends = np.flatnonzero(still & ~np.concatenate([still[1:], [False]]))
     if step > _SPARSE_S and len(starts) < LEAST_STOPS:  # a state a stop
-        return states, _Rests(times, times)
+        return states, _RestSpans(times, times)
     stops = [np.median(states[a : ahead[b] + 1], axis=0) for a, b in zip(starts, ends, strict=True)]
-    return np.array(stops).reshape(-1, states.shape[1]), _Rests(times[starts], times[ahead[ends]])
+    return np.array(stops).reshape(-1, states.shape[1]), _RestSpans(
+        times[starts], times[ahead[ends]]
+    )
 
 
 def _far_points(schema: StateSchema, states: Floats) -> Floats:
@@ -165,10 +167,10 @@ def _far_points(schema: StateSchema, states: Floats) -> Floats:
 
 def _matched(
     poses: PoseTable,
-    ours: _Rests,
+    ours: _RestSpans,
     schema: StateSchema,
     states: Floats,
-    theirs: _Rests,
+    theirs: _RestSpans,
     clock_offset_s: float | None,
 ) -> Ints:
     """Pairs (n, 2) of the body's and the robot's rests that are the same.
@@ -193,7 +195,7 @@ def _matched(
     return min(options, key=by_turns, default=np.zeros((0, 2), dtype=np.int64))
 
 
-def _together(ours: _Rests, theirs: _Rests, offset_s: float) -> Ints:
+def _together(ours: _RestSpans, theirs: _RestSpans, offset_s: float) -> Ints:
     """Pairs (n, 2) of rests that overlap at an offset, each with the one nearest to it."""
     middle = (ours.start_s + ours.end_s) / 2 + offset_s
     early = theirs.start_s[None] - middle[:, None]

@@ -71,7 +71,7 @@ class _Names(FileModel):
     scale: _Factor = 1.0
 
 
-class _Log(FileModel):
+class _LogTable(FileModel):
     joints: list[_Names] = Field(default_factory=list)
     position: list[_Names] = Field(default_factory=list)
     time: str | None = None
@@ -95,7 +95,7 @@ class _Robot(FileModel):
     coupled: list[int] = Field(default_factory=list)
     tool_mm: tuple[_Length, _Length, _Length] = (0.0, 0.0, 0.0)
     tool_rotvec_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
-    log: _Log = _Log()
+    log: _LogTable = _LogTable()
 
     @model_validator(mode="after")
     def _fits_together(self) -> _Robot:

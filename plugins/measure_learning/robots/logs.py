@@ -27,7 +27,7 @@ from measure_learning.robots.log_clock import Clock
 from measure_learning.robots.raven import raven_schema
 
 if TYPE_CHECKING:
-    from measure_learning.robots.tables import Columns
+    from measure_learning.robots.tables import TableColumns
 
 
 def robot_names() -> list[str]:
@@ -160,7 +160,7 @@ def of_instants(path: Path, schema: StateSchema, times_s: Floats) -> StateSchema
     return replace(schema, log=replace(schema.log, time_unit_s=1.0))
 
 
-def check_robot(table: Columns, robot: str) -> None:
+def check_robot(table: TableColumns, robot: str) -> None:
     """Refuse (EstimatorError) a table whose metadata names another robot; most files name none."""
     named = table.metadata(ROBOT_KEY)
     if named not in ("", robot):

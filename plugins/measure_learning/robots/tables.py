@@ -25,7 +25,7 @@ _BINARY = (".parquet", ".bag", ".mcap", ".db3")
 _KINDS = {b"PAR1": ".parquet", b"#ROSBAG": ".bag", b"\x89MCAP": ".mcap", b"SQLite format 3": ".db3"}
 
 
-class Columns:
+class TableColumns:
     """What a table's columns are called."""
 
     path: Path
@@ -47,7 +47,7 @@ class Columns:
             raise EstimatorError(f"{self.path}: column '{twice[0]}' is there twice")
 
 
-class Table(Columns):
+class Table(TableColumns):
     """A Parquet or CSV file in memory, or a piece of one.
 
     Attributes:
@@ -193,7 +193,7 @@ _BUFFER_BYTES = 1 << 20
 _BLOCK_BYTES = 16 << 20
 
 
-class TableFile(Columns):
+class TableFile(TableColumns):
     """A Parquet or CSV file that is read as often as needed, a piece at a time."""
 
     def __init__(self, path: Path, schema: pa.Schema, dialect: Dialect | None = None) -> None:

@@ -33,7 +33,7 @@ class Circle:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class CircleEvidence:
     """The checks of one circle in one frame."""
 
     found: bool  # Hough returned a circle, at the latest with the largest tolerable sigma
@@ -45,7 +45,7 @@ class Evidence:
     consistent: bool | None = None
 
 
-def advance(circle: Circle, evidence: Evidence, good_frames_needed: int) -> Circle:
+def advance(circle: Circle, evidence: CircleEvidence, good_frames_needed: int) -> Circle:
     """The circle's state after one more frame.
 
     An effective circle is suspended by any of the paper's three causes, or because it disagrees
@@ -66,7 +66,7 @@ def advance(circle: Circle, evidence: Evidence, good_frames_needed: int) -> Circ
     return replace(circle, reason=Reason.RECOVERING, good_frames=good_frames)
 
 
-def _suspension_reason(circle: Circle, evidence: Evidence) -> Reason:
+def _suspension_reason(circle: Circle, evidence: CircleEvidence) -> Reason:
     if not evidence.found:
         return Reason.NOT_FOUND
     if not evidence.color_ok:

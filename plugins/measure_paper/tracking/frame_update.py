@@ -27,7 +27,7 @@ from measure.model import (
 )
 from measure.model.observations import Reason, State
 from measure_paper.tracking import ray_agreement
-from measure_paper.tracking.circle_state import Circle, Evidence, advance, remember
+from measure_paper.tracking.circle_state import Circle, CircleEvidence, advance, remember
 from measure_paper.tracking.ray_agreement import choose
 
 _MAX_STEP_S = 0.5  # Motion bounds of a circle grow no longer than this after its last detection
@@ -252,7 +252,7 @@ class FrameUpdate(Tracker):
             detection = members.get(camera) or (mine[0] if mine else None)
             circle = Circle()
             if camera not in members:
-                evidence = Evidence(
+                evidence = CircleEvidence(
                     found=detection is not None,
                     color_ok=detection is None or self._good(detection),
                     consistent=False,
@@ -286,19 +286,24 @@ class FrameUpdate(Tracker):
             views.append(_view(ball.name, name, circle, detection, frame_set))
         return views
 
-    def _evidence(self, ball: Ball, camera: str, detection: Detection | None) -> Evidence:
+    def _evidence(self, ball: Ball, camera: str, detection: Detection | None) -> CircleEvidence:
         if detection is None:
-            return Evidence(found=False)
+            return CircleEvidence(found=False)
         circle = self._circles[ball.name, camera]
         moved = 0.0
         if circle.center_px is not None:
             moved = float(np.linalg.norm(detection.center_px - circle.center_px))
         allowed = self._motion_px(ball, detection.radius_px, circle.time_s, detection.time_s)
-        return Evidence(found=True, color_ok=self._good(detection), moved_too_far=moved > allowed)
+        return CircleEvidence(
+            found=True, color_ok=self._good(detection), moved_too_far=moved > allowed
+        )
 
     def _with_consistency(
-        self, ball: Ball, found: Mapping[str, Detection | None], evidence: Mapping[str, Evidence]
-    ) -> dict[str, Evidence]:
+        self,
+        ball: Ball,
+        found: Mapping[str, Detection | None],
+        evidence: Mapping[str, CircleEvidence],
+    ) -> dict[str, CircleEvidence]:
         """Fill in whether each circle agrees with the 3-D centre from effective circles."""
         good = [d for name, d in found.items() if d is not None and evidence[name].color_ok]
         seen = ray_agreement.ray_observations(good, self._cameras)

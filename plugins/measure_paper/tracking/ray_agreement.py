@@ -138,7 +138,7 @@ _MAX_HYPOTHESES_PER_BALL = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Hypothesis:
+class CircleChoice:
     """Circles that may be one ball."""
 
     point: Floats  # (3,) where the ball would be, mm
@@ -156,7 +156,7 @@ def choose(
     seen: Sequence[RayObservation],
     limits: AgreementLimits,
     distance_tolerance_mm: float,
-) -> dict[str, Hypothesis]:
+) -> dict[str, CircleChoice]:
     """The best hypothesis for as many balls as possible, by ball.
 
     Args:
@@ -166,24 +166,24 @@ def choose(
         distance_tolerance_mm: how far the distance of two balls may be off.
     """
     offered = {ball.name: _hypotheses(ball, seen, limits) for ball in body.balls}
-    best: dict[str, Hypothesis] = {}
+    best: dict[str, CircleChoice] = {}
     for chosen in _combinations(body, offered, distance_tolerance_mm):
         if _value(chosen) > _value(best):
             best = chosen
     return best
 
 
-def _value(chosen: Mapping[str, Hypothesis]) -> tuple[int, int, float]:
+def _value(chosen: Mapping[str, CircleChoice]) -> tuple[int, int, float]:
     views = sum(len(hypothesis.members) for hypothesis in chosen.values())
     return len(chosen), views, -sum(hypothesis.misfit for hypothesis in chosen.values())
 
 
 def _hypotheses(
     ball: Ball, seen: Sequence[RayObservation], limits: AgreementLimits
-) -> list[Hypothesis]:
+) -> list[CircleChoice]:
     """Every two circles of different cameras that agree, with all others that agree with them."""
     mine = [one for one in seen if one.detection.ball == ball.name]
-    found: dict[frozenset[int], Hypothesis] = {}
+    found: dict[frozenset[int], CircleChoice] = {}
     for first, second in combinations(mine, 2):
         if first.camera is second.camera:
             continue
@@ -198,7 +198,7 @@ def _grow(
     others: Sequence[RayObservation],
     radius_mm: float,
     limits: AgreementLimits,
-) -> Hypothesis | None:
+) -> CircleChoice | None:
     point = locate(seed)
     if point is None or max(misfit(s, point, radius_mm, limits) for s in seed) > 1:
         return None
@@ -214,15 +214,15 @@ def _grow(
     worst = max(misfit(s, point, radius_mm, limits) for s in members)
     if worst > 1:
         return None
-    return Hypothesis(point, {s.camera.name: s.detection for s in members}, worst)
+    return CircleChoice(point, {s.camera.name: s.detection for s in members}, worst)
 
 
 def _combinations(
-    body: Body, offered: Mapping[str, Sequence[Hypothesis]], tolerance_mm: float
-) -> list[dict[str, Hypothesis]]:
+    body: Body, offered: Mapping[str, Sequence[CircleChoice]], tolerance_mm: float
+) -> list[dict[str, CircleChoice]]:
     """Every choice of at most one hypothesis per ball in which all distances fit the body."""
     distances = body.distances()
-    chosen: list[dict[str, Hypothesis]] = [{}]
+    chosen: list[dict[str, CircleChoice]] = [{}]
     for name in body.names:
         chosen += [
             {**before, name: hypothesis}

@@ -22,8 +22,8 @@ from measure_plugins._outline.fitting.robust_cone import MAX_RESIDUAL_PX
 from measure_plugins._outline.fitting.scan import (
     INLIER,
     CameraImage,
+    ConeFit,
     EdgeScan,
-    Fit,
     Outline,
     OutlineSearch,
     agreeing_share,
@@ -115,7 +115,7 @@ def _iterate_corrected(
 
 
 @compiled
-def _is_converged(fit: Fit, spread: Floats) -> bool:
+def _is_converged(fit: ConeFit, spread: Floats) -> bool:
     """Whether the last step is small against the axis' covariance `spread` (2, 2), px^2."""
     sd = np.sqrt((spread[0, 0] + spread[1, 1]) / 2)
     return axis_shift_px(fit) < max(_CONVERGED_SD * sd, _CONVERGED_PX)
@@ -179,7 +179,7 @@ def measure_unknown_size(
 
 
 @compiled
-def _chance_corrected(scan: EdgeScan, fit: Fit, share: float) -> tuple[Floats, float]:
+def _chance_corrected(scan: EdgeScan, fit: ConeFit, share: float) -> tuple[Floats, float]:
     """Covariance of an axis by edges that are not corrected and may belong to another object.
 
     Some edges agree with the outline by chance: only the agreement beyond that counts (Cohen 1960).
@@ -200,7 +200,7 @@ _MAX_EXCESS = 1.0
 
 
 @compiled
-def apply_step_gain(scan: EdgeScan, fit: Fit, step_gain: Floats) -> None:
+def apply_step_gain(scan: EdgeScan, fit: ConeFit, step_gain: Floats) -> None:
     """Multiply the shift of a fit's axis by the gain, and move the scan's edges along."""
     found = fit.solution[:2].copy()
     for a in range(2):

@@ -187,7 +187,7 @@ class Outline(NamedTuple):
     share: float  # of the rays that should show an edge, see `agreeing_share`
 
 
-class Fit(NamedTuple):
+class ConeFit(NamedTuple):
     """See `robust_cone.refine`; `scale` is infinite where there is no cone."""
 
     solution: Floats
@@ -203,10 +203,10 @@ def reach_px(view: CameraImage, search: OutlineSearch) -> float:
 
 
 @compiled
-def fit_scan(scan: EdgeScan, growth: tuple[float, float], first: bool) -> Fit:
+def fit_scan(scan: EdgeScan, growth: tuple[float, float], first: bool) -> ConeFit:
     """The robust cone through the edges of a scan; by consensus first, if it is the `first` one."""
     if np.sum(scan.use) < _MIN_EDGES:
-        return Fit(np.zeros(3), np.zeros((3, 3)), scan.use, np.inf)
+        return ConeFit(np.zeros(3), np.zeros((3, 3)), scan.use, np.inf)
     start, gate = np.zeros(3), SEARCH_PX
     shifts, sd = scan.edges.shifts, scan.edges.sd
     if first:
@@ -215,17 +215,17 @@ def fit_scan(scan: EdgeScan, growth: tuple[float, float], first: bool) -> Fit:
     solution, normal, weights, scale = refine(
         shifts, scan.rays.around, sd, scan.use, start, gate, growth
     )
-    return Fit(solution, normal, weights, scale)
+    return ConeFit(solution, normal, weights, scale)
 
 
 @compiled
-def axis_shift_px(fit: Fit) -> float:
+def axis_shift_px(fit: ConeFit) -> float:
     """How far a fit moves the axis, px along e1 or e2, whichever is more."""
     return max(abs(fit.solution[0]), abs(fit.solution[1]))
 
 
 @compiled
-def agreeing_share(scan: EdgeScan, fit: Fit) -> float:
+def agreeing_share(scan: EdgeScan, fit: ConeFit) -> float:
     """Share of the rays that should show an edge whose edges lie on one outline.
 
     Those are clear rays with contrast, and clear rays without, outside which the ball's colour
@@ -236,7 +236,7 @@ def agreeing_share(scan: EdgeScan, fit: Fit) -> float:
 
 
 @compiled
-def residuals(scan: EdgeScan, fit: Fit, least: float) -> tuple[Floats, Floats]:
+def residuals(scan: EdgeScan, fit: ConeFit, least: float) -> tuple[Floats, Floats]:
     """Weights (n,), px^-2, and residuals (n,), px, of edges weighed above `least`; 0 for others."""
     weights, off = np.zeros(len(fit.weights)), np.zeros(len(fit.weights))
     for i in range(len(off)):
@@ -249,7 +249,7 @@ def residuals(scan: EdgeScan, fit: Fit, least: float) -> tuple[Floats, Floats]:
 
 
 @compiled
-def corrected_axis(scan: EdgeScan, fit: Fit) -> Floats:
+def corrected_axis(scan: EdgeScan, fit: ConeFit) -> Floats:
     """The axis (3,) that a fit has found."""
     turn_by = fit.solution[0] * scan.frame[0] + fit.solution[1] * scan.frame[1]
     axis = scan.frame[2] + turn_by / np.mean(scan.scale)
@@ -265,7 +265,7 @@ def no_outline() -> Outline:
 
 @compiled
 def outline_of(
-    view: CameraImage, scan: EdgeScan, fit: Fit, share: float, spread: Floats, wider: float
+    view: CameraImage, scan: EdgeScan, fit: ConeFit, share: float, spread: Floats, wider: float
 ) -> Outline:
     """The outline that a scan's fit gives.
 

@@ -171,11 +171,11 @@ def misfits(patches: Sequence[BallPatch], appearance: Appearance) -> Floats:
 
 def _refined(patches: Sequence[BallPatch], start: Appearance, prior_sd: Floats) -> Appearance:
     """Gauss-Newton on bends and log blur, damped until the cost falls."""
-    best = _Step(patches, start, prior_sd)
+    best = _Update(patches, start, prior_sd)
     for _ in range(_ITERATIONS):
         change, before = best.solve(), best.cost
         for damping in (1.0, 0.4):
-            trial = _Step(patches, _moved(best.at, damping * change), prior_sd, best.scales)
+            trial = _Update(patches, _moved(best.at, damping * change), prior_sd, best.scales)
             if trial.cost < best.cost:
                 best = trial
                 break
@@ -184,7 +184,7 @@ def _refined(patches: Sequence[BallPatch], start: Appearance, prior_sd: Floats) 
     return best.at
 
 
-class _Step:
+class _Update:
     """The cost at one appearance: mean square residuals per `scales`, plus the prior."""
 
     def __init__(
