@@ -253,8 +253,14 @@ class _Looking:
         apart = clocks_apart(self.session.streams)
         look = None if apart else self.look()
         if look is None or look.doubtful:
-            given = self.session, self.registry, self.profile
-            offsets = find_offsets(*given, _LARGEST_OFFSET_S, _LOOKED_AT_S, self.progress)
+            offsets = find_offsets(
+                self.session,
+                self.registry,
+                self.profile,
+                _LARGEST_OFFSET_S,
+                _LOOKED_AT_S,
+                self.progress,
+            )
             late = {name: off_s for name, off_s in offsets.items() if abs(off_s) > _BY_MOTION_S}
             again = self._look_again(late, look)
             if apart and again is None:

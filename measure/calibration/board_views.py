@@ -124,11 +124,14 @@ def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidT
     if not np.isfinite(bearings).all():
         raise CalibrationError("the board's corners lie where the lens sees nothing")
     ideal = bearings[:, :2] / bearings[:, 2:]
-    given = np.ascontiguousarray(points), np.ascontiguousarray(ideal), np.eye(3), np.zeros(0)
+    places, seen = np.ascontiguousarray(points), np.ascontiguousarray(ideal)
     methods = [cv2.SOLVEPNP_IPPE if np.allclose(points[:, 2], 0.0) else cv2.SOLVEPNP_SQPNP]
     # SQPNP misses the best pose of four points now and then.
     methods += [cv2.SOLVEPNP_AP3P] * (len(points) == 4)
-    solved = [cv2.solvePnPGeneric(*given, flags=method)[1:3] for method in methods]
+    solved = [
+        cv2.solvePnPGeneric(places, seen, np.eye(3), np.zeros(0), flags=method)[1:3]
+        for method in methods
+    ]
     poses = [
         RigidTransform.from_rotvec(np.ravel(turn), np.ravel(shift))
         for turns, shifts in solved
@@ -278,8 +281,8 @@ class BoardProblem:
     def _linearise(self, state: BoardState) -> least_squares.Linearised:
         groups = tuple(self._group(number, state) for number in range(len(self.views)))
         blocks = len(state.world_from_board.translation)
-        none = np.zeros(0), np.zeros((0, self._size))
-        return least_squares.Linearised(groups, self._size, blocks, *none)
+        nothing, no_rows = np.zeros(0), np.zeros((0, self._size))
+        return least_squares.Linearised(groups, self._size, blocks, nothing, no_rows)
 
     def _step(self, state: BoardState, shared: Floats, blocks: Floats) -> BoardState:
         parts = [shared[columns] for columns in self.columns]

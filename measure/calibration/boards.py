@@ -227,9 +227,9 @@ class Charuco(Board):
     @cached_property
     def pattern(self) -> Any:
         """OpenCV's description of this board."""
-        sizes_mm = float(self.square_mm), float(self.marker_mm)
         markers = aruco_dictionary(self.dictionary)
-        pattern = cv2.aruco.CharucoBoard(self.squares, *sizes_mm, markers)
+        side_mm, marker_mm = float(self.square_mm), float(self.marker_mm)
+        pattern = cv2.aruco.CharucoBoard(self.squares, side_mm, marker_mm, markers)
         pattern.setLegacyPattern(self.legacy)
         return pattern
 

@@ -228,7 +228,7 @@ def charuco_sheet(board: Charuco, name: str) -> Sheet:
         with_marker.add((int(left // side), int(top // side)))
         bits = np.asarray(dictionary.generateImageMarker(int(number), dictionary.markerSize + 2))
         markers += _cells(bits, float(left), float(top), board.marker_mm, not board.inverted)
-    shapes: list[Shape] = [box(0, 0, *size, black=False)]
+    shapes: list[Shape] = [box(0, 0, size[0], size[1], black=False)]
     if board.inverted:
         shapes = [box(-4, -4, size[0] + 8, size[1] + 8)]
     shapes += [
@@ -280,7 +280,7 @@ def marker_sheet(field: targets.MarkerField, name: str, dot_mm: float) -> Sheet:
     origin = (float(-low[0]), float(high[1]))
     shapes: list[Shape] = []
     if 0 <= origin[0] <= size[0] and 0 <= origin[1] <= size[1]:
-        shapes += _cross(*origin, 10.0)
+        shapes += _cross(origin[0], origin[1], 10.0)
         shapes.append(label(origin[0] + 2, origin[1] - 2, "world origin: x right, y up"))
     else:
         x, y, _ = field.points[0]
@@ -303,7 +303,7 @@ def body_sheet(body: Body) -> Sheet:
     low, high = np.minimum(low, -12), np.maximum(high, 12)
     size = (float(high[0] - low[0]), float(high[1] - low[1]))
     origin = (float(-low[0]), float(high[1]))
-    shapes: list[Shape] = _cross(*origin, 10.0)
+    shapes: list[Shape] = _cross(origin[0], origin[1], 10.0)
     shapes.append(label(origin[0] + 2, origin[1] + 6, "origin"))
     for ball in body.balls:
         x, y = origin[0] + float(ball.center_mm[0]), origin[1] - float(ball.center_mm[1])

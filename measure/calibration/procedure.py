@@ -180,16 +180,20 @@ def _boards_of(
 def _fitted(rough: RigCalibration, capture: Capture) -> RigCalibration:
     """The rig by its method, from rough poses."""
     seen, settings = rough.observations, capture.settings
-    stated = settings.board_tolerance_mm, settings.board_tolerance_deg
-    held = extrinsics.held_within(seen.boards, *stated)
+    held = extrinsics.held_within(
+        seen.boards, settings.board_tolerance_mm, settings.board_tolerance_deg
+    )
     tolerances = rig_problem.Tolerances(
         capture.markers.tolerance_mm, *held, extrinsics.DEFAULT_COMMON_PX
     )
-    rig = rough.cameras, replace(seen, tolerances=tolerances), settings.mark_sd_px
+    cameras, observed = rough.cameras, replace(seen, tolerances=tolerances)
     if rough.method == "paper":
-        fit = extrinsics.fit_rig_by_paper(*rig)
+        fit = extrinsics.fit_rig_by_paper(cameras, observed, settings.mark_sd_px)
     else:
-        fit, tolerances = extrinsics.fit_rig_with_boards(*rig, stated != (None, None))
+        stated = (settings.board_tolerance_mm, settings.board_tolerance_deg) != (None, None)
+        fit, tolerances = extrinsics.fit_rig_with_boards(
+            cameras, observed, settings.mark_sd_px, stated
+        )
     observations = replace(seen, tolerances=tolerances)
     return replace(rough, cameras=fit.cameras, fit=fit, observations=observations)
 

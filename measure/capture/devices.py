@@ -121,7 +121,10 @@ def _look_at(path: Path) -> FoundCamera | None:
                 found,
                 name=device.info.card,
                 now=Mode(now.pixel_format.human_str(), (now.width, now.height), (rate,)),
-                modes=tuple(Mode(*key, tuple(sorted(rates[key], reverse=True))) for key in rates),
+                modes=tuple(
+                    Mode(kind, size, tuple(sorted(rates[kind, size], reverse=True)))
+                    for kind, size in rates
+                ),
                 controls=tuple(DeviceControls(path).read().values()),
             )
     except CaptureError as problem:

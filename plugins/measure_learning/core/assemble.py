@@ -209,8 +209,16 @@ def _assemble_one(
     check_labels(track.name, doubts, as_it_is=settings.as_it_is)
     kept = marks.kept
     trajectory, names = _cut(track.name, times[kept], settings.cut_s)
-    labels = errors[kept], covariances[kept], marks.usable[kept]
-    part = Dataset(log.schema, states[kept], times[kept], trajectory, names, *labels)
+    part = Dataset(
+        log.schema,
+        states[kept],
+        times[kept],
+        trajectory,
+        names,
+        errors[kept],
+        covariances[kept],
+        marks.usable[kept],
+    )
     during = (log.times_s >= times[0]) & (log.times_s <= times[-1])
     bad = int((~log.complete[during]).sum())
     facts = _facts(track, marks, bad, float(times[-1] - times[0]), clock)

@@ -229,9 +229,12 @@ def _refuse_turned(
     """Refuse rotations that no base and tool bring together, with the slip that explains it."""
     if seen.chain is None:
         return
-    turns = seen.poses.world_from_body.rotation, seen.chain.pose(seen.joints).rotation
+    seen_turns, own_turns = (
+        seen.poses.world_from_body.rotation,
+        seen.chain.pose(seen.joints).rotation,
+    )
     try:
-        check_turns(" and ".join(names), *turns, most_deg=_MOST_APART_DEG)
+        check_turns(" and ".join(names), seen_turns, own_turns, most_deg=_MOST_APART_DEG)
     except EstimatorError as problem:
         cause = explain(seen, _joint_names(schema), options.eye_in_hand)
         if cause is None:

@@ -257,5 +257,5 @@ def initial_state(
     """
     if lost is None or abs(time_s - lost.time_s) > _LOST_S:
         return MotionState.begin(world_from_body, covariance, time_s, speed_sd)
-    faster = _LOST_FACTOR * speed_sd, _LOST_FACTOR * acceleration_sd
-    return MotionState.begin(world_from_body, covariance, time_s, *faster)
+    speed_sd, acceleration_sd = _LOST_FACTOR * speed_sd, _LOST_FACTOR * acceleration_sd
+    return MotionState.begin(world_from_body, covariance, time_s, speed_sd, acceleration_sd)

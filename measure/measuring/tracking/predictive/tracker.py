@@ -221,8 +221,14 @@ class PredictiveTracker(Tracker):
         if found.world_from_body is not None:
             assert found.covariance is not None
             time_s = float(np.mean([d.time_s for d in found.detections]))
-            here = found.world_from_body, found.covariance, time_s
-            self._state = initial_state(*here, self._speed, self._acceleration, self._last_state)
+            self._state = initial_state(
+                found.world_from_body,
+                found.covariance,
+                time_s,
+                self._speed,
+                self._acceleration,
+                self._last_state,
+            )
             self._identity.begin(found.flags, self._last_state, self._state)
             self._disagreeing = pose_checks.disagreeing_cameras(
                 found, self._body, present, detections
