@@ -24,7 +24,7 @@ class CommandConformance:
         return commands()[self.name]
 
     def test_its_function_says_what_the_table_says(self) -> None:
-        """`measure --help` shows the one, `measure NAME --help` the other."""
+        """The help of all commands shows the one, its own help the other."""
         target = load_command(self.name)
         own = target.help if isinstance(target, App) else target.__doc__
         assert (own or "").partition("\n")[0] == self.command.line, "another first line"
@@ -46,7 +46,7 @@ class CommandConformance:
         assert said.getvalue().count("\n") == 1, said.getvalue()
 
     def printed(self, *words: str) -> str:
-        """What `measure WORDS` prints."""
+        """What words after `measure` print."""
         out = io.StringIO()
         with contextlib.redirect_stdout(out):
             main(list(words))

@@ -1,4 +1,4 @@
-"""`measure count`."""
+"""Counting poses."""
 
 from __future__ import annotations
 
