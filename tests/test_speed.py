@@ -6,18 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.tracking_timing import stages
+from benchmarks.tracking_timing import one_core, stages
 from measure.session import open_session
 
 _MOST_REFERENCES = 36.0
 """CPU time of a tracked frame set; 24 were measured, on a busy machine."""
-_MOST_ACQUIRING = 16.0
-"""CPU time of searching a first frame set and finding the body; 8 were measured, 13 before."""
+_MOST_ACQUIRING = 24.0
+"""CPU time of searching a first frame set and finding the body; 15 were measured, 13 with own loops
+in place of OpenCV's."""
 
 
 @pytest.mark.slow
 def test_a_frame_set_costs_no_more_than_it_did(shared: Path) -> None:
-    with open_session(shared / "renders" / "still") as session:
+    with open_session(shared / "renders" / "still") as session, one_core():
         reference_s, spent_s, (_, search_s, associate_s) = stages(session, "precise", repeats=2)
     assert spent_s[-1] / reference_s < _MOST_REFERENCES
     assert (search_s + associate_s) / reference_s < _MOST_ACQUIRING

@@ -209,7 +209,7 @@ def test_a_disk_that_fills_up_beside_the_recording(
     assert read_run(folder).poses["index"].to_pylist() == [0, 1, 2, 3]
     monkeypatch.undo()
     assert main([*run_words(recording, "--resume")]) == 0
-    assert "measuring 4 kept of 6 frame sets again, so that" in capsys.readouterr().err
+    assert "resumed at frame set 4 of 6" in capsys.readouterr().err
     assert read_run(folder).poses["index"].to_pylist() == list(range(6))
     assert read_run(folder).finished
 

@@ -142,7 +142,7 @@ def test_the_graph_answers_what_training_scored(split: Split) -> None:
     fit = StreamEstimator(
         StreamSettings(
             perceptrons=1, perceptron_units=16, perceptron_epochs=3, grus=1, gru_units=4,
-            gru_epochs=1, window=16, play_widths=2,
+            gru_epochs=1, window=16, play_widths=2, points=0,
         )
     )  # fmt: skip
     fit.folds = 0

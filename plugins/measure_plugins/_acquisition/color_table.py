@@ -177,7 +177,8 @@ def _chroma_histograms(pixels: Bytes, table: Bytes, stride: int, count: int) -> 
     """How many of some pixels have each colour (count, 64) with each chroma, in levels."""
     some = pixels[stride // 2 :: stride, stride // 2 :: stride].reshape(-1, 3) >> (8 - _BITS)
     blue, green, red = some.T
-    bits, chroma = table[blue, green, red], np.ptp(some, axis=1)
+    bits = table[blue, green, red]
+    chroma = np.maximum(np.maximum(blue, green), red) - np.minimum(np.minimum(blue, green), red)
     has = (bits >> np.uint8(i) & np.uint8(1) > 0 for i in range(count))
     out = [np.bincount(chroma[one], minlength=_LEVELS) for one in has]
     return np.array(out, np.int64).reshape(count, _LEVELS)

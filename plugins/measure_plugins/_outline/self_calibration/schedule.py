@@ -116,7 +116,8 @@ class SelfCalibration:
             seen: outlines found in it; their half angles from known distances.
             others: outlines of balls that are there but were not found.
         """
-        self._kept = 2 * self._count
+        while self._kept <= self._count:  # after a gap the next of the usual numbers
+            self._kept *= 2
         self._patches.append([self._patch(pixels, cone, (*seen, *others)) for cone in seen])
         if self._count < self._due:
             return None
