@@ -86,13 +86,14 @@ def load_command(name: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
-def offers(group: str) -> Iterator[tuple[str, Any]]:
-    """Name and object of each entry point of a group, imported now.
+def offers(group: str, name: str | None = None) -> Iterator[tuple[str, Any]]:
+    """Name and object of each entry point of a group, or of those of one name, imported now.
 
     One whose package was taken out of the environment is passed over. PluginError: another cannot
     be imported.
     """
-    for point in sorted(_points(group), key=lambda one: one.name):
+    points = (one for one in _points(group) if name in (None, one.name))
+    for point in sorted(points, key=lambda one: one.name):
         if util.find_spec(point.value.partition(":")[0].partition(".")[0]) is None:
             continue
         try:
@@ -104,9 +105,8 @@ def offers(group: str) -> Iterator[tuple[str, Any]]:
 
 def offer(group: str, name: str, what: str, package: str) -> Any:
     """The object of one entry point; ConfigError: nobody offers it, and `package` brings it."""
-    for point in _points(group):
-        if point.name == name:
-            return point.load()
+    for _, found in offers(group, name):
+        return found
     raise lacking(what, package)
 
 

@@ -132,10 +132,10 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
     most = max(here.cost - fit.cost for fit in fits)
     least = most - max(_RIVAL_GAIN * noise, _RIVAL_SHARE * most)
     alike = [fit for fit in fits if here.cost - fit.cost >= least]
-    alike.sort(key=lambda fit: (_price(fit, evidence), fit.cost))
+    alike.sort(key=lambda fit: (_price(fit.hypotheses[-1], evidence), fit.cost))
     best, *others = alike
     gain = here.cost - best.cost
-    if gain / noise < _price(best, evidence):
+    if gain / noise < _price(best.hypotheses[-1], evidence):
         return None
     own = {(best.hypotheses[-1].word, best.hypotheses[-1].of)}
     own.add((MIDWAY.get(best.hypotheses[-1].word, Word.UNKNOWN), best.hypotheses[-1].of))
@@ -157,12 +157,8 @@ def _threshold(share: float, fit: Fit) -> float:
     return chi_square_quantile(share, last.basis.shape[1])
 
 
-def _price(fit: Fit, evidence: Evidence) -> float:
-    """Of the parameters of the last hypothesis, in chi-square (Bayesian information criterion)."""
-    return _price_of(fit.hypotheses[-1], evidence)
-
-
-def _price_of(one: Hypothesis, evidence: Evidence) -> float:
+def _price(one: Hypothesis, evidence: Evidence) -> float:
+    """Of its parameters, in chi-square (Bayesian information criterion)."""
     rare = _RARE_PRICE if one.word is Word.POINT and one.of else 0.0
     if one.word is Word.CLOCK_STEP and evidence.has_gap(one.of, one.since or 0):
         rare = -_RARE_PRICE
@@ -206,9 +202,7 @@ def _system(evidence: Evidence, here: Fit) -> _System:
     normal, right = parts.normal, parts.right
     nuisance = [evidence.shared(EDGE)]
     total = normal.sum(axis=0)
-    fixed = (
-        total[np.ix_(nuisance, nuisance)] + np.eye(1) / (_EDGE_SHARE * evidence.systematic_px) ** 2
-    )
+    fixed = total[np.ix_(nuisance, nuisance)] + _edge_prior(evidence) * np.eye(1)
     return _System(normal, right, nuisance, fixed, total[nuisance])
 
 
@@ -226,7 +220,7 @@ def _score(
     own = own - cross.T @ np.linalg.solve(system.fixed, cross)
     some = hypothesis.basis.T @ right
     gain = float(some @ symmetric_inverse(own) @ some)
-    return gain - _price_of(hypothesis, evidence)
+    return gain - _price(hypothesis, evidence)
 
 
 class _Normal(NamedTuple):

@@ -59,7 +59,12 @@ def demo(
         values = dataclasses.asdict(made) | {"profile": chosen.name}
         added = {name: one["values"] for name, one in values.pop("additions").items()}
         console.print_json(values | added)
-        return
+    else:
+        _print(made)
+
+
+def _print(made: api.Demo) -> None:
+    """Print what was measured, what others add, and where to go on."""
     console.print_text(made.summary.sentence())
     found = made.evaluation
     rows = []

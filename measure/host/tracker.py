@@ -42,7 +42,7 @@ class Tracker(Plugin):
     def __init__(self, config: Settings, body: Body, cameras: Sequence[Camera]) -> None:
         self.config = config
         self.body = body
-        self.cameras = cameras
+        self.cameras = tuple(cameras)
 
     @abstractmethod
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]] | None:

@@ -193,6 +193,9 @@ def test_what_is_missing_is_named_and_the_rest_works(
         assert done.returncode == 2
         assert f"`measure {command}` comes with the package measure_{package}" in done.stderr
         assert done.stderr.count("\n") == 1
+    done = environment.measure("view", str(tmp_path / "run"), "--robot", "raven")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "`--robot` comes with the package measure_learning" in done.stderr
     done = environment.measure("export", str(tmp_path / "run"), "--format", "csv")
     assert done.returncode == 2
     assert "no export format is called 'csv'" in done.stderr

@@ -29,7 +29,6 @@ _STILL_MM = 0.3  # way of the tip, and of a point 100 mm from it, over half a se
 _STILL_S, _LEVER_MM = 0.5, 100.0
 _SAME_S = 0.3  # between the instants of one stop on two clocks that are brought together
 _MOST_OFFSETS = 12  # of those that match most stops are compared by their geometry
-_MOST_APART_DEG = 10.0  # of stops that are matched rightly
 
 
 @dataclass(frozen=True, eq=False)

@@ -276,19 +276,6 @@ def bag_pieces(
         yield np.array(times), np.array(rows)
 
 
-def _without_metadata(path: Path) -> Path:
-    """The only file of a ROS 2 bag's folder whose metadata was not written; else the path."""
-    if not path.is_dir() or (path / "metadata.yaml").exists():
-        return path
-    files = sorted(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))
-    if len(files) < 2:
-        return files[0] if files else path
-    raise EstimatorError(
-        f"{path}: holds {len(files)} files of a bag and no metadata.yaml, as when recording was "
-        f"cut off: `ros2 bag reindex {path}` writes it"
-    )
-
-
 def _bag_states(
     path: Path, schema: StateSchema, topic: str | None
 ) -> Iterator[tuple[float, Floats]]:

@@ -91,7 +91,6 @@ class FrameUpdate(Tracker):
 
     def __init__(self, config: FrameUpdateSettings, body: Body, cameras: Sequence[Camera]) -> None:
         super().__init__(config, body, cameras)
-        self._body = body
         self._cameras = {camera.name: camera for camera in cameras}
         self._pose: Pose | None = None
         self._tolerance = 1.0
@@ -113,7 +112,7 @@ class FrameUpdate(Tracker):
         return {
             name: [
                 expectation
-                for ball in self._body.balls
+                for ball in self.body.balls
                 if (expectation := self._expect(ball, self._cameras[name], image.time_s))
             ]
             for name, image in frame_set.images.items()
@@ -125,7 +124,7 @@ class FrameUpdate(Tracker):
         """Advance every circle's state by this frame."""
         if self._starting:
             return tuple(self._start(frame_set, detections))
-        tracked = (self._track(ball, frame_set, detections) for ball in self._body.balls)
+        tracked = (self._track(ball, frame_set, detections) for ball in self.body.balls)
         return tuple(view for views in tracked for view in views)
 
     def motion(self, time_s: float) -> Motion | None:
@@ -164,7 +163,7 @@ class FrameUpdate(Tracker):
             return ""
         counts = {
             name: sum(view.ball == name and view.effective for view in views)
-            for name in self._body.names
+            for name in self.body.names
         }
         short = [f"{name} {count}" for name, count in counts.items() if count < 2]
         if short:
@@ -181,7 +180,7 @@ class FrameUpdate(Tracker):
     def _forget_circles(self) -> None:
         """Every circle is initialised as effective."""
         self._circles = {
-            (ball, camera): Circle() for ball in self._body.names for camera in self._cameras
+            (ball, camera): Circle() for ball in self.body.names for camera in self._cameras
         }
 
     def _expect(self, ball: Ball, camera: Camera, time_s: float) -> Expectation | None:
@@ -244,7 +243,7 @@ class FrameUpdate(Tracker):
             if self._good(detection)
         ]
         seen = ray_agreement.ray_observations(candidates, self._cameras)
-        chosen = choose(self._body, seen, self._limits(), 2 * self.config.consistency_mm)
+        chosen = choose(self.body, seen, self._limits(), 2 * self.config.consistency_mm)
         views = []
         for ball, camera in self._circles:
             members = chosen[ball].members if ball in chosen else {}
@@ -316,7 +315,7 @@ class FrameUpdate(Tracker):
         outliers = ray_agreement.disagreeing(effective, ball.radius_mm, self._limits())
         kept = [one for one in effective if one not in outliers]
         point = ray_agreement.locate(kept)
-        if point is None and len(self._body.balls) > 3:
+        if point is None and len(self.body.balls) > 3:
             point = self._predicted(ball)
         out = dict(evidence)
         for one in seen:

@@ -102,8 +102,6 @@ class PredictiveTracker(Tracker):
         self, config: PredictiveConfig, body: model.Body, cameras: Sequence[model.Camera]
     ) -> None:
         super().__init__(config, body, cameras)
-        self._body = body
-        self._cameras = tuple(cameras)
         self._keys = [(camera.name, ball) for camera in cameras for ball in body.names]
         self._acceleration = per_axis(config.acceleration_mm_s2, config.angular_acceleration_rad_s2)
         self._speed = per_axis(config.speed_mm_s, config.angular_speed_rad_s)
@@ -122,8 +120,8 @@ class PredictiveTracker(Tracker):
 
     def warm_up(self) -> None:
         """Compile or load the loops of searching and of tracking."""
-        association.warm_up(self._cameras)
-        calibration_noise(Rig.of(self._cameras), self._body.middle)
+        association.warm_up(self.cameras)
+        calibration_noise(Rig.of(self.cameras), self.body.middle)
 
     def expect(self, frame_set: model.FrameSet) -> Mapping[str, Sequence[model.Expectation]]:
         """Windows from the predicted pose at each image's own time; the whole frame without one."""
@@ -137,7 +135,7 @@ class PredictiveTracker(Tracker):
         times_s = {name: image.time_s for name, image in frame_set.images.items()}
         self._acceleration_bound = self._state.acceleration_bound(self._acceleration)
         self._windows = predict_windows(
-            self._state, times_s, self._acceleration_bound, self._body, self._cameras
+            self._state, times_s, self._acceleration_bound, self.body, self.cameras
         )
         c = self.config
         return self._windows.expectations(c.reach_sigmas, c.min_reach_px, c.radius_slack)
@@ -147,10 +145,10 @@ class PredictiveTracker(Tracker):
         state, time_s = self._state, frame_set.time_s
         if state is None or not self._identity.due(time_s):
             return None
-        present = [camera for camera in self._cameras if camera.name in frame_set.images]
+        present = [camera for camera in self.cameras if camera.name in frame_set.images]
 
         def review(detections: Mapping[str, Sequence[model.Detection]]) -> None:
-            flags = second_body(state.world_from_body, self._body, present, detections)
+            flags = second_body(state.world_from_body, self.body, present, detections)
             self._identity.reviewed(flags, time_s)
 
         return review
@@ -188,23 +186,23 @@ class PredictiveTracker(Tracker):
             return Conclusion(None, reason or "too few balls agree with the prediction")
         c = self.config
         hard = pose_checks.hard_flags(
-            pose, positions, views, self._body, self._cameras, c.distance_tolerance_mm, c.max_rms_px
+            pose, positions, views, self.body, self.cameras, c.distance_tolerance_mm, c.max_rms_px
         )
         soft = pose_checks.soft_flags(pose, views, c.max_sd_mm) + self._disagreement(views)
         soft += self._identity.flags(self._state, self._acceleration, self._acceleration_bound)
-        soft += pose_checks.unconfirmed_balls(views, self._body, self._confirmed)
+        soft += pose_checks.unconfirmed_balls(views, self.body, self._confirmed)
         if self._state is not None and self._state.new:
             soft += pose_checks.unstable_initialisation(
                 views, [image.time_s for image in frame_set.images.values()]
             )
-        soft += consistency_flags(pose, views, positions, self._body, c.view_bias_px, c.confidence)
+        soft += consistency_flags(pose, views, positions, self.body, c.view_bias_px, c.confidence)
         motion = partial(self.motion, pose.time_s)
         soft += self._camera_bias.flags(pose, views, residuals_px, motion)
-        soft += single_view_balls(pose, views, self._body, self._cameras)
+        soft += single_view_balls(pose, views, self.body, self.cameras)
         flags = tuple(dict.fromkeys((*pose.flags, *hard, *soft)))
         if hard:
             self._missed()
-        elif pose_checks.too_uncertain(pose, self._body):
+        elif pose_checks.too_uncertain(pose, self.body):
             self._forget()
         elif self._state is not None:
             self._misses = 0
@@ -215,8 +213,8 @@ class PredictiveTracker(Tracker):
     def _search(
         self, frame_set: model.FrameSet, detections: Mapping[str, Sequence[model.Detection]]
     ) -> tuple[model.BallView, ...]:
-        present = [camera for camera in self._cameras if camera.name in frame_set.images]
-        self._found = found = associate(self._body, present, detections)
+        present = [camera for camera in self.cameras if camera.name in frame_set.images]
+        self._found = found = associate(self.body, present, detections)
         self._recovering = {}
         if found.world_from_body is not None:
             assert found.covariance is not None
@@ -231,7 +229,7 @@ class PredictiveTracker(Tracker):
             )
             self._identity.begin(found.flags, self._last_state, self._state)
             self._disagreeing = pose_checks.disagreeing_cameras(
-                found, self._body, present, detections
+                found, self.body, present, detections
             )
             self._confirmed = set()
         chosen = {(d.camera, d.ball): d for d in found.detections}
