@@ -10,18 +10,17 @@ from pathlib import Path
 from typing import Any, get_args
 
 from measure.api.measuring import measure_bodies
-from measure.api.playing import Reel
 from measure.api.run_log import LogOptions, RunLog
 from measure.checking import ColorlessCount
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.settings import read_settings
-from measure.measuring import Profile
+from measure.measuring import Measurement, Profile
 from measure.measuring.profile import Stage
 from measure.model import Body
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress, quiet
-from measure.results import Provenance, RunWriter, Summary, check_run_folder, digest
+from measure.results import Provenance, Run, RunWriter, Summary, check_run_folder, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
 
 _FIRST_FRAME_SETS = 3  # Frame sets that are looked at for colour before a run
@@ -93,18 +92,26 @@ def run(
         # folder is made, or an earlier run lost.
         first = list(islice(measured, 1))
         options = _recording_due(replace(options, frame_sets=total), out, kept, on_note)
-        reel = Reel(writer.kept_runs) if kept and options.wanted else None
+        kept_runs = writer.kept_runs if kept and options.wanted else ()
         writer.begin()
         log = stack.enter_context(_log(session, out, options, kept))
-        for number in range(kept):
-            if reel is not None:
-                log.add(reel.measurements(number))
+        for again in _measured_before(kept_runs, kept):
+            log.add(again)
         for frame_set, measurements in chain(first, measured):
             writer.append(*measurements)
             log.add(measurements, frame_set)
             progress(measurements[0].index + 1, total)
         log.close()
         return writer.finish()
+
+
+def _measured_before(runs: Sequence[Run], kept: int) -> Iterator[list[Measurement]]:
+    """The measurements of the frame sets that a run keeps, for its recording; none of no run."""
+    if runs:
+        from measure.api.playing import Reel
+
+        reel = Reel(runs)
+        yield from (reel.measurements(number) for number in range(kept))
 
 
 def provenance(

@@ -254,12 +254,26 @@ def test_help_imports_nothing_heavy():
     }  # fmt: skip
 
 
-def test_commands_import_no_more_than_they_all_use():
-    """`scipy.stats`, loaded by `scipy.signal`, took a quarter of the time to a first picture."""
-    code = "import sys, measure.api; print(*sys.modules)"
+def test_a_run_imports_no_more_than_it_uses():
+    """Imports took half of the time of a short recording, `scipy.stats` a quarter of that."""
+    code = "import sys; from measure import api; api.run; print(*sys.modules)"
     modules = set(_python("-c", code).stdout.split())
-    assert "measure.metrology.noise" in modules
-    assert not modules & {"scipy.signal", "scipy.stats", "rerun", "plotly", "torch", "onnxruntime"}
+    assert "measure.measuring.pipeline" in modules
+    assert not modules & {
+        "scipy.signal", "scipy.stats", "rerun", "plotly", "torch", "onnxruntime",
+        "measure.calibration", "measure.capture", "measure.simulation",
+    }  # fmt: skip
+
+
+def test_functions_of_api_load_when_they_are_asked_for():
+    code = (
+        "import measure.api.run, measure.api.check, sys; from measure import api;"
+        "assert 'measure.api.live' not in sys.modules;"
+        "print(*map(callable, (api.run, api.check, api.live)), {*api.__all__} - {*dir(api)})"
+    )
+    assert _python("-c", code).stdout.split() == ["True", "True", "True", "set()"]
+    with pytest.raises(AttributeError, match="no attribute 'walk'"):
+        _ = importlib.import_module("measure.api").walk
 
 
 def _cpu_s(*arguments: str) -> float:
