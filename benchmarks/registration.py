@@ -23,7 +23,12 @@ from measure.geometry import RigidTransform, chi_square_quantile
 from measure.metrology.poses import PoseTable
 from measure.robots import Feature, Joint, Reading, RobotLog, SerialChain, StateSchema, dh_link
 from measure_learning.core import PoseTrack
-from measure_learning.core.registration import Recording, RegisterOptions, register, register_stops
+from measure_learning.core.registration import (
+    LoggedTrack,
+    RegisterOptions,
+    register,
+    register_stops,
+)
 from measure_learning.core.stops import Stops
 
 ALPHA_DEG = np.array([0.0, 90, 0, 0, 90, -90])
@@ -161,7 +166,7 @@ def _one(seed: int, count: int | None, kinematics: bool) -> tuple[Floats, Floats
     options = RegisterOptions(kinematics)
     if count is None:
         arm = recorded(seed)
-        found = register([Recording(arm.track, arm.log)], options)
+        found = register([LoggedTrack(arm.track, arm.log)], options)
     else:
         stops, arm = stopped(seed, count)
         found = register_stops([stops], schema(ur5e()), options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -29,7 +29,7 @@ from measure.capture.sources import Source
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.measuring import Measurement, Pipeline, Profile, burn_in, relative_measurements
-from measure.model import Body, Camera, Image
+from measure.model import Body, Camera, FrameSet, Image
 from measure.processes import share_heaps
 from measure.results import Provenance, RunWriter, Summary, check_run_folder
 from measure.session import Calibration, check_bodies, check_unit, read_body
@@ -109,15 +109,8 @@ def live(
         gathering = Gathering(list(rig.addresses), on_read=rig.note_read)
         takers = [gathering.add, *_recorders(stack, opened, sent, options.record)]
         sending = stack.enter_context(prepared.sending)
-        writer = RunWriter(
-            out,
-            prepared.made_from,
-            sent.bodies,
-            sent.cameras,
-            overwrite=options.overwrite,
-            reference=sent.reference,
-        )
-        stack.enter_context(writer).begin()
+        writer = stack.enter_context(_writer(out, prepared, options))
+        writer.begin()
         log = stack.enter_context(RunLog(sent.name, sent.bodies, sent.cameras, out, options))
 
         def on_mark(time_s: float, what: str) -> None:
@@ -131,9 +124,7 @@ def live(
         for one in pipelines:
             burn_in.enter_realtime(one.stages.detectors)
         state, watch = None, _PaceMeter(gathering, rig)
-        for frame_set, found in measure_frame_sets(pipelines, frame_sets()):
-            rig.note_copies(frame_set.images, found[0].copies)
-            known = [_with_away(each, rig.away) for each in found]
+        for frame_set, known in _measured(pipelines, frame_sets(), rig):
             sending.send(_sent_poses(sent, known, rig.clock_s()), images=frame_set.images)
             writer.append(*known)
             log.add(known, frame_set)
@@ -143,6 +134,27 @@ def live(
         log.close()
         summary = writer.finish()
     return LiveEnd(summary, state, tuple(opened.controls.changed.values()), sending.counts)
+
+
+def _writer(out: Path, prepared: _Prepared, options: LiveOptions) -> RunWriter:
+    sent, overwrite = prepared.sent, options.overwrite
+    return RunWriter(
+        out,
+        prepared.made_from,
+        sent.bodies,
+        sent.cameras,
+        overwrite=overwrite,
+        reference=sent.reference,
+    )
+
+
+def _measured(
+    pipelines: Sequence[Pipeline], frame_sets: Iterable[FrameSet], rig: Cameras
+) -> Iterator[tuple[FrameSet, list[Measurement]]]:
+    """Each frame set and its measurements, which say which cameras are away."""
+    for frame_set, found in measure_frame_sets(pipelines, frame_sets):
+        rig.note_copies(frame_set.images, found[0].copies)
+        yield frame_set, [_with_away(each, rig.away) for each in found]
 
 
 def _recorders(

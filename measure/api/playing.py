@@ -33,13 +33,18 @@ from measure.results.tables import BODY, PLACE, matrices, numbers
 
 
 @dataclass(frozen=True)
-class PlayOptions(SendOptions):
-    """How a run is played, and where to."""
+class Pace:
+    """How fast a recording is played, and when.
 
-    rate: float = 1.0  # times its own pace
-    loop: bool = False  # begin again at its end, until interrupted
-    wait_s: float = 1.0  # before the first pose, so that receivers find where to connect
-    viewer: str | None = None  # address of a running viewer
+    Attributes:
+        rate: how many times as fast as it was recorded.
+        loop: begin again at its end.
+        wait_s: seconds before the first pose or picture, so that receivers are all there.
+    """
+
+    rate: float = 1.0
+    loop: bool = False
+    wait_s: float = 1.0
 
     def check_pace(self) -> None:
         """Refuse (ConfigError) a pace that is none."""
@@ -47,6 +52,13 @@ class PlayOptions(SendOptions):
             raise ConfigError(f"--rate {self.rate:g}: expected a number above 0")
         if not 0 <= self.wait_s < math.inf:
             raise ConfigError(f"--wait-s {self.wait_s:g}: expected seconds, 0 or more")
+
+
+@dataclass(frozen=True)
+class PlayOptions(Pace, SendOptions):
+    """How a run is played, and where to."""
+
+    viewer: str | None = None  # address of a running viewer
 
 
 @dataclass(frozen=True)
@@ -94,13 +106,13 @@ def play(
     return PlayEnd(played, late_s, sending.counts)
 
 
-def _turns(times_s: Floats, options: PlayOptions) -> Iterator[tuple[int, float]]:
+def _turns(times_s: Floats, pace: Pace) -> Iterator[tuple[int, float]]:
     """Number of every frame set to be played, and its turn in seconds from the start."""
     period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
     since_s = (times_s - times_s[0]).tolist()
-    for round_ in count() if options.loop else (0,):
+    for round_ in count() if pace.loop else (0,):
         for number, time_s in enumerate(since_s):
-            yield number, (round_ * (since_s[-1] + period_s) + time_s) / options.rate
+            yield number, (round_ * (since_s[-1] + period_s) + time_s) / pace.rate
 
 
 def _viewer(stack: ExitStack, reel: Reel, address: str | None) -> Callable[[int], None]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from measure.api.playing import PlayOptions
+from measure.api.playing import Pace
 from measure.api.recording import until_stopped
 from measure.arrays import Floats, Ints
 from measure.capture import jpeg_of, picture_part, serve_cameras
@@ -111,15 +111,15 @@ class Screening:
 
 def play_cameras(
     session: Path,
-    options: PlayOptions,
+    pace: Pace,
     port: int = CAMERA_PORT,
     tell: Callable[[str], None] = print,
     over: threading.Event | None = None,
 ) -> dict[str, int]:
     """Serve a session's cameras to this machine, as motion JPEG over HTTP at their own stamps.
 
-    Pictures that were recorded as JPEG are sent as they are. Without `options.loop` the session
-    begins `options.wait_s` after the first reader came, and it ends with the session; otherwise
+    Pictures that were recorded as JPEG are sent as they are. Without `pace.loop` the session
+    begins `pace.wait_s` after the first reader came, and it ends with the session; otherwise
     when interrupted or when `over` is set.
 
     Args:
@@ -132,11 +132,9 @@ def play_cameras(
     Raises:
         MeasureError: the folder is no session, an option is wrong, or the port is not free.
     """
-    options.check_pace()
+    pace.check_pace()
     with open_streams(session) as streams:
-        shown = Screening(
-            PictureReel.of_session(streams), options.rate, options.loop, options.wait_s
-        )
+        shown = Screening(PictureReel.of_session(streams), pace.rate, pace.loop, pace.wait_s)
         feeds = {name: partial(shown.parts, name) for name in streams}
         with until_stopped(over) as stop, serve_cameras(feeds, port) as addresses:
             tell(camera_line(addresses))

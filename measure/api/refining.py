@@ -170,35 +170,41 @@ class FoundBody:
     rms_px: float  # of what is left of the balls' centres in the pictures
 
 
+@dataclass(frozen=True)
+class BodySearch:
+    """Which body is looked for, and how.
+
+    Attributes:
+        radius_mm: radius of each ball.
+        like: body file with the balls' names and colours and the frame to use; needed where two
+            balls have one colour, or one that has no common name.
+        origin: ball to put the origin at; the centroid of all if omitted.
+        calibration: a calibration file to use instead of the session's own.
+        profile: how to measure the session, by name or TOML file.
+    """
+
+    radius_mm: float
+    like: Path | None = None
+    origin: str | None = None
+    calibration: Path | None = None
+    profile: str = "precise"
+
+
 def find_body(
-    session: Path | str,
-    registry: Registry,
-    radius_mm: float,
-    like: Path | str | None = None,
-    origin: str | None = None,
-    profile: str = "precise",
-    calibration: Path | str | None = None,
-    progress: Progress = quiet,
+    session: Path | str, registry: Registry, search: BodySearch, progress: Progress = quiet
 ) -> FoundBody:
     """Find a body's balls in a recording, and adjust their places to all its pictures.
 
-    Args:
-        session: needs no body; one that it names is not read.
-        radius_mm: of all balls.
-        like: a body file with the names, the colours and the frame to use; its layout serves
-            only to tell balls of one colour apart.
-        origin: name of the ball to put the origin at; the centroid, or that of `like`, if omitted.
-        profile: how to measure, by name or TOML file.
-
-    Raises:
-        SessionError: fewer than three balls, two of one colour, or balls of another size.
+    The session needs no body, and one that it names is not read. SessionError: fewer than three
+    balls, two of one colour, or balls of another size.
     """
+    radius_mm, origin = search.radius_mm, search.origin
     if not 0 < radius_mm < np.inf:
         raise ConfigError(f"--radius-mm {radius_mm:g}: expected a length in mm above 0")
-    pattern = None if like is None else _of_size(read_body(like), radius_mm)
-    chosen = load_profile(profile)
+    pattern = None if search.like is None else _of_size(read_body(search.like), radius_mm)
+    chosen = load_profile(search.profile)
     probes = [pattern] if pattern else [probe(p, radius_mm) for p in PALETTES]
-    with open_session(session, calibration, probes[0]) as opened:
+    with open_session(session, search.calibration, probes[0]) as opened:
         frames = list(_searched(opened, probes, pattern, chosen, registry, progress))
         every = pattern or probe([c for p in PALETTES for c in p], radius_mm)
         rough = find_layout(frames, every, pick=pattern is None)

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import InjectedRegistry
+from measure.cli.options import FIELDS, InjectedRegistry
 from measure.session import write_body
+
+_COLUMNS = ("from", "to", "distance_mm", "sd_mm")
 
 
 def body(
     session: Path,
     /,
     *,
-    radius_mm: float,
-    like: Path | None = None,
-    origin: str | None = None,
+    search: Annotated[api.BodySearch, FIELDS],
     out: OutFile,
     overwrite: Overwrite = False,
-    calibration: Path | None = None,
-    profile: str = "precise",
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -32,34 +31,36 @@ def body(
 
     Args:
         session: the recording; it needs no body file, and one that it names is not read.
-        radius_mm: radius of each ball.
-        like: body file with the balls' names and colours and the frame to use; needed where two
-            balls have one colour, or one that has no common name.
-        origin: ball to put the origin at; the centroid of all if omitted.
         out: the body file to write.
-        calibration: a calibration file to use instead of the session's own.
-        profile: how to measure the session, by name or TOML file.
     """
     with api.output(out, overwrite) as file, console.progress("looking") as progress:
-        found = api.find_body(
-            session, registry, radius_mm, like, origin, profile, calibration, progress
-        )
+        found = api.find_body(session, registry, search, progress)
         write_body(file, found.body)
-    rows = [(a, b, mm, sd) for (a, b), (mm, sd) in found.distances.items()]
     if json:
-        keys = ("from", "to", "distance_mm", "sd_mm")
-        values = {
-            "output": out,
-            "frame": found.frame,
-            "frame_sets": found.frame_sets,
-            "rms_px": found.rms_px,
-            "tolerance_mm": found.body.tolerance_mm,
-            "seen_radii_mm": found.seen_radii,
-            "distances": [dict(zip(keys, row, strict=True)) for row in rows],
-        }
-        console.print_json(values)
-        return
-    console.print_table(("from", "to", "distance_mm", "sd_mm"), rows)
+        _print_json(found, out)
+    else:
+        _print(found, out)
+
+
+def _distances(found: api.FoundBody) -> list[tuple[str, str, float, float]]:
+    return [(a, b, mm, sd) for (a, b), (mm, sd) in found.distances.items()]
+
+
+def _print_json(found: api.FoundBody, out: Path) -> None:
+    values = {
+        "output": out,
+        "frame": found.frame,
+        "frame_sets": found.frame_sets,
+        "rms_px": found.rms_px,
+        "tolerance_mm": found.body.tolerance_mm,
+        "seen_radii_mm": found.seen_radii,
+        "distances": [dict(zip(_COLUMNS, row, strict=True)) for row in _distances(found)],
+    }
+    console.print_json(values)
+
+
+def _print(found: api.FoundBody, out: Path) -> None:
+    console.print_table(_COLUMNS, _distances(found))
     console.print_text(f"frame: {found.frame}")
     console.print_text(
         f"wrote {out}: {len(found.body.balls)} balls from {found.frame_sets} frame sets, each "

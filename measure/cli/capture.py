@@ -9,7 +9,7 @@ from measure import api
 from measure.calibration import WaveState
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import CaptureOptions
+from measure.cli.options import CameraOptions
 
 _LINE_EVERY_S = 2.0
 
@@ -21,7 +21,7 @@ def capture(
     overwrite: Overwrite = False,
     body: Path | None = None,
     goal_mm: float = 0.2,
-    capture: CaptureOptions = CaptureOptions(),
+    capture: CameraOptions = CameraOptions(),
     json: JsonFlag = False,
 ) -> int:
     """Take pictures of a waved board until they are enough.

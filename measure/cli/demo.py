@@ -17,16 +17,31 @@ from measure.neighbours import load_command
 from measure.processes import needed
 
 
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True)
+class _PageOptions:
+    """The set-up page instead.
+
+    Attributes:
+        studio: try the set-up page with rendered cameras.
+        board: that is waved: `charuco_8x5_27` or `chessboard_9x6_25`.
+        port: of the set-up page; 0 for any that is free.
+        browser: open the set-up page in a browser.
+    """
+
+    studio: bool = False
+    board: str = api.DEMO_BOARDS[0]
+    port: int = 8080
+    browser: Annotated[bool, Parameter(negative="--no-browser")] = True
+
+
 def demo(
     *,
     out: OutFile = Path("triball-demo"),
     overwrite: Overwrite = False,
     profile: str = "precise",
     frames: int = 30,
-    studio: bool = False,
-    board: str = api.DEMO_BOARDS[0],
-    port: int = 8080,
-    browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
+    page: _PageOptions = _PageOptions(),
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -44,13 +59,9 @@ def demo(
         out: folder for the session and the run.
         profile: how to measure: `precise`, `paper`, or the path of a profile of your own (.toml).
         frames: frame sets to render.
-        studio: try the set-up page with rendered cameras.
-        board: that is waved: `charuco_8x5_27` or `chessboard_9x6_25`.
-        port: of the set-up page; 0 for any that is free.
-        browser: open the set-up page in a browser.
     """
-    if studio:
-        _set_up(out, board, (port, browser), registry)
+    if page.studio:
+        _set_up(out, page, registry)
         return
     chosen = api.load_profile(profile)
     with console.progress("rendering and measuring", "steps") as report:
@@ -85,14 +96,13 @@ def _print(made: api.Demo) -> None:
     console.print_text(f"every error in detail: measure evaluate {made.run}")
 
 
-def _set_up(out: Path, board: str, page: tuple[int, bool], registry: api.Registry) -> None:
+def _set_up(out: Path, page: _PageOptions, registry: api.Registry) -> None:
     """Serve rendered cameras, and the set-up page on a new folder."""
     studio = load_command("studio")
     needed("nicegui", "studio", "the page")
-    port, browser = page
     with ExitStack() as stack:
         with console.progress("rendering, the first time only", "pictures") as report:
-            desk, addresses = stack.enter_context(api.demo_cameras(out, board, report))
-        console.note(f"{desk}: choose the board {board} in step Calibration; Ctrl-C ends it")
+            desk, addresses = stack.enter_context(api.demo_cameras(out, page.board, report))
+        console.note(f"{desk}: choose the board {page.board} in step Calibration; Ctrl-C ends it")
         cameras = [f"{name}={address}" for name, address in addresses.items()]
-        studio(desk, *cameras, port=port, browser=browser, registry=registry)
+        studio(desk, *cameras, port=page.port, browser=page.browser, registry=registry)

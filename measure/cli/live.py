@@ -15,7 +15,7 @@ from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import (
     BodyOptions,
-    CaptureOptions,
+    CameraOptions,
     InjectedRegistry,
     ProfileOptions,
     ViewerOptions,
@@ -57,7 +57,7 @@ def live(
     bodies: BodyOptions = BodyOptions(),
     method: ProfileOptions = ProfileOptions(),
     viewer: ViewerOptions = ViewerOptions(),
-    capture: CaptureOptions = CaptureOptions(),
+    capture: CameraOptions = CameraOptions(),
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:

@@ -64,18 +64,14 @@ class BodyOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class ViewerOptions:
-    """The viewer, and its recording.
+class ShowOptions:
+    """The viewer.
 
     Attributes:
-        images: pictures to keep in the viewer's recording: none, all, or those of every N-th set.
-        recording: write run.rrd for the viewer.
-        spawn: open the viewer at once and watch while it measures.
+        spawn: open the viewer at once and watch.
         connect: send to a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
     """
 
-    images: str = "10"
-    recording: Annotated[bool, Parameter(negative="--no-recording")] = True
     spawn: bool = False
     connect: str | None = None
 
@@ -88,7 +84,21 @@ class ViewerOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class CaptureOptions:
+class ViewerOptions(ShowOptions):
+    """The viewer, and its recording.
+
+    Attributes:
+        images: pictures to keep in the viewer's recording: none, all, or those of every N-th set.
+        recording: write run.rrd for the viewer.
+    """
+
+    images: str = "10"
+    recording: Annotated[bool, Parameter(negative="--no-recording")] = True
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class CameraOptions:
     """How long cameras are read, and what they are asked for.
 
     Attributes:

@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.options import InjectedRegistry, SettingTexts
+from measure.cli.options import FIELDS, InjectedRegistry, SettingTexts, ShowOptions
 from measure.errors import ConfigError
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _ReceiverOptions(ShowOptions):
+    """Where a run is played to.
+
+    Attributes:
+        send: where every pose is sent, such as udp://127.0.0.1:5005, igtl://, foxglove://,
+            lsl:triball, zenoh:triball; may be repeated.
+        set_: a setting of a sink as SINK.NAME=VALUE, such as udp.format=osc; may be repeated.
+    """
+
+    send: tuple[str, ...] = ()
+    set_: SettingTexts = ()
 
 
 def play(
@@ -17,13 +36,8 @@ def play(
     *,
     as_cameras: bool = False,
     port: int = api.CAMERA_PORT,
-    rate: float = 1.0,
-    loop: bool = False,
-    wait_s: float = 1.0,
-    send: tuple[str, ...] = (),
-    set_: SettingTexts = (),
-    spawn: bool = False,
-    connect: str | None = None,
+    pace: Annotated[api.Pace, FIELDS] = api.Pace(),
+    to: _ReceiverOptions = _ReceiverOptions(),
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -38,30 +52,15 @@ def play(
         run: the run's folder; with `--as-cameras` the session's.
         as_cameras: serve the cameras of a session.
         port: where they are served; 0 for any that is free.
-        rate: how many times as fast as it was recorded.
-        loop: begin again at its end.
-        wait_s: seconds before the first pose or picture, so that receivers are all there.
-        send: where every pose is sent, such as udp://127.0.0.1:5005, igtl://, foxglove://,
-            lsl:triball, zenoh:triball; may be repeated.
-        set_: a setting of a sink as SINK.NAME=VALUE, such as udp.format=osc; may be repeated.
-        spawn: open the viewer and show the run.
-        connect: show it in a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
     """
     if as_cameras:
-        if send or spawn or connect:
+        if to.send or to.spawn or to.connect:
             raise ConfigError(
                 "--as-cameras serves pictures, no poses: leave out --send, --spawn and --connect"
             )
-        _play_cameras(run, api.PlayOptions(rate=rate, loop=loop, wait_s=wait_s), port, json)
+        _play_cameras(run, pace, port, json)
         return
-    viewer = connect
-    if spawn:
-        from measure.viewing.viewer import open_viewer
-
-        viewer = open_viewer([]).listens
-    options = api.PlayOptions(
-        send, set_, console.note, rate=rate, loop=loop, wait_s=wait_s, viewer=viewer
-    )
+    options = api.PlayOptions(to.send, to.set_, console.note, **vars(pace), viewer=to.address())
     end = api.play(run, registry, options)
     if json:
         console.print_json({"run": str(run), **vars(end)})
@@ -71,10 +70,10 @@ def play(
         )
 
 
-def _play_cameras(session: Path, options: api.PlayOptions, port: int, json: bool) -> None:
+def _play_cameras(session: Path, pace: api.Pace, port: int, json: bool) -> None:
     """Serve a session's cameras, and print their addresses at once: others wait for them."""
     tell = console.note if json else console.print_text
-    sent = api.play_cameras(session, options, port, tell)
+    sent = api.play_cameras(session, pace, port, tell)
     if json:
         console.print_json({"session": str(session), "pictures": sent})
     else:

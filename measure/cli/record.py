@@ -11,7 +11,7 @@ from measure import api
 from measure.capture import CameraCount, Outage
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import BodyOptions, CaptureOptions
+from measure.cli.options import BodyOptions, CameraOptions
 from measure.model import Image
 
 _UNEVEN_S = 2e-3  # Spread of the times of arrival, in s, from which a warning is printed
@@ -24,7 +24,7 @@ def record(
     overwrite: Overwrite = False,
     calibration: Path | None = None,
     bodies: BodyOptions = BodyOptions(),
-    capture: CaptureOptions = CaptureOptions(),
+    capture: CameraOptions = CameraOptions(),
     spawn: bool = False,
     json: JsonFlag = False,
 ) -> None:
@@ -66,10 +66,10 @@ def record(
 
 def _preview(cameras: Sequence[str]) -> Callable[[Image], None]:
     """Open the viewer; returns what shows a picture there."""
-    from measure.viewing.recording import Preview
+    from measure.viewing.recording import LivePictures
     from measure.viewing.viewer import open_viewer
 
-    return Preview(cameras, open_viewer([]).listens).add
+    return LivePictures(cameras, open_viewer([]).listens).add
 
 
 def note_outage(outage: Outage) -> None:

@@ -71,28 +71,26 @@ def run(
     if not sessions:
         raise ConfigError("no session to measure: give its folder")
     if len(sessions) > 1 or execution.cluster is not None:
+        workers, cluster = execution.workers, execution.cluster
         with console.progress("measuring", "recordings") as report:
             outcomes = api.run_many(
-                sessions,
-                out,
-                chosen,
-                registry,
-                options,
-                workers=execution.workers,
-                cluster=execution.cluster,
-                progress=report,
+                sessions, out, chosen, registry, options, workers, cluster, progress=report
             )
         return _print_outcomes(outcomes, out, json)
     with console.progress("measuring") as report:
         summary = api.run(sessions[0], out, chosen, registry, options, report, console.note)
+    _print_one(summary, sessions[0], out, json)
+    return 0
+
+
+def _print_one(summary: Summary, session: Path, out: Path, json: bool) -> None:
     if json:
         console.print_json({"run": str(out), **summary.values()})
-        return 0
+        return
     print_summary(summary)
     if not summary.ok:
-        console.print_text(f"to find out why: measure check {sessions[0]}")
+        console.print_text(f"to find out why: measure check {session}")
     console.print_text(f"written to {out}; look at it with: measure view {out}")
-    return 0
 
 
 _REASONS_SHOWN = 5  # Lines; those after the commonest few seldom tell another cause

@@ -97,7 +97,7 @@ def evaluate(
     missing = int((covered & ~run.has_pose).sum())
     ball_names, ball_errors, ball_covariances = _ball_errors(run, truth)
     body = position_errors(errors[:, :3])
-    cameras = _checked_cameras(run, true_cameras)
+    detection, localisation = _errors_apart(run, truth, true_cameras, marks)
     return RunEvaluation(
         frame_sets=len(run.times_s),
         compared=int(here.sum()),
@@ -114,19 +114,32 @@ def evaluate(
         pose_consistency=consistency(errors, covariances),
         ball_consistency=consistency(ball_errors, ball_covariances),
         aligned=_aligned(run, measured, true),
-        detection=single_errors.detection_errors_by_marks(run, marks)
-        if marks is not None
-        else single_errors.detection_errors_by_truth(run, truth, cameras or run.cameras),
-        localisation=single_errors.localisation_errors_by_truth(run, truth, cameras)
-        if cameras
-        else None,
+        detection=detection,
+        localisation=localisation,
         truth_offset=offset,
         notes=(
             *(() if offset is None else (offset.note(),)),
-            *_notes(run, errors, missing, marks, cameras is None),
+            *_notes(run, errors, missing, marks, true_cameras is None),
         ),
         noise=noise_about(run, _of_all(here, errors)),
     )
+
+
+def _errors_apart(
+    run: Run,
+    truth: Trajectory,
+    true_cameras: Sequence[Camera] | None,
+    marks: single_errors.Marks | None,
+) -> tuple[single_errors.SingleErrors | None, single_errors.SingleErrors | None]:
+    """Errors of detection alone, and of camera localisation alone."""
+    cameras = _checked_cameras(run, true_cameras)
+    if marks is not None:
+        detection = single_errors.detection_errors_by_marks(run, marks)
+    else:
+        detection = single_errors.detection_errors_by_truth(run, truth, cameras or run.cameras)
+    if not cameras:
+        return detection, None
+    return detection, single_errors.localisation_errors_by_truth(run, truth, cameras)
 
 
 def _covered(run: Run, truth: Trajectory) -> Bools:

@@ -167,16 +167,10 @@ def open_session(
     file = session_file(Path(path))
     given = load_toml(file, SessionModel)
     folder = file.parent
-    bodies = _bodies(given, file, body)
-    relative_to = given.session.reference if reference is None else reference
-    if body is not None and reference is None and relative_to not in [b.name for b in bodies]:
-        relative_to = ""
-    check_bodies(bodies, relative_to, "--body" if body is not None else str(file))
+    bodies, relative_to = _bodies_and_reference(given, file, body, reference)
     calibration_path = _calibration_path(given, file, calibration)
-    streams: dict[str, Stream] = {}
-    try:
-        for table in given.cameras:
-            streams[table.name] = _open_stream(table, folder)
+    with ExitStack() as opened:
+        streams = _open_all(given.cameras, folder, opened)
         calibration_read = _calibration(given, streams, calibration_path, file)
         check_unit(calibration_read, bodies[0], str(calibration_path))
         check_time_units({name: stream.period_s for name, stream in streams.items()})
@@ -184,10 +178,7 @@ def open_session(
         shifts = shift_clocks(streams, digest, calibration_read.provenance, calibration_path)
         if not clocks_apart:
             check_overlap(list(streams.values()))
-    except BaseException:
-        for stream in streams.values():
-            stream.close()
-        raise
+        opened.pop_all()  # the session closes them from here on
     return Session(
         name=given.session.name or folder.resolve().name,
         path=file,
@@ -210,16 +201,21 @@ def open_session(
     )
 
 
+def _open_all(tables: Iterable[CameraTable], folder: Path, opened: ExitStack) -> dict[str, Stream]:
+    """The cameras' streams by name, which are closed with `opened`."""
+    streams = {}
+    for table in tables:
+        streams[table.name] = _open_stream(table, folder)
+        opened.callback(streams[table.name].close)
+    return streams
+
+
 @contextmanager
 def open_streams(path: Path) -> Iterator[dict[str, Stream]]:
     """The cameras of a session that may have neither body nor calibration, by name."""
     file = session_file(path)
-    with ExitStack() as stack:
-        streams = {}
-        for table in load_toml(file, SessionModel).cameras:
-            streams[table.name] = _open_stream(table, file.parent)
-            stack.callback(streams[table.name].close)
-        yield streams
+    with ExitStack() as opened:
+        yield _open_all(load_toml(file, SessionModel).cameras, file.parent, opened)
 
 
 def session_lacks(path: Path) -> list[str]:
@@ -248,6 +244,21 @@ def session_file(path: Path) -> Path:
     if not file.exists():
         raise SessionError(f"{path} is not a session: it has no {_FILE}")
     return file
+
+
+def _bodies_and_reference(
+    given: SessionModel,
+    file: Path,
+    body: Path | str | Body | Sequence[Path] | None,
+    reference: str | None,
+) -> tuple[tuple[Body, ...], str]:
+    """The bodies to measure, and the name of the one that is the others' reference, or ""."""
+    bodies = _bodies(given, file, body)
+    relative_to = given.session.reference if reference is None else reference
+    if body is not None and reference is None and relative_to not in [b.name for b in bodies]:
+        relative_to = ""
+    check_bodies(bodies, relative_to, "--body" if body is not None else str(file))
+    return bodies, relative_to
 
 
 def _bodies(

@@ -6,7 +6,7 @@ Shapes are rows of numbers (columns below), in the camera's frame, in mm.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,9 @@ REACH, ROW = 23, 24
 `REACH` is the radius of a ball about the centre or the start that holds all of the shape.
 """
 NOTHING = -1
+
+Triple: TypeAlias = tuple[float, float, float]
+"""A place or a direction, by its coordinates."""
 
 
 @compiled
@@ -49,26 +52,18 @@ def trace(
         nearest, found = math.inf, NOTHING
         for k in range(near.shape[1]):
             if near[row, k]:
-                d = enter(shapes, k, delays_s[row], 0.0, 0.0, 0.0, ideal[i, 0], ideal[i, 1], 1.0)
+                ray = ideal[i, 0], ideal[i, 1], 1.0
+                d = enter(shapes, k, delays_s[row], (0.0, 0.0, 0.0), ray)
                 if d < nearest:
                     nearest, found = d, k
         first[i], depth[i] = found, nearest
 
 
 @inlined
-def enter(
-    shapes: Floats,
-    k: int,
-    delay: float,
-    px: float,
-    py: float,
-    pz: float,
-    x: float,
-    y: float,
-    z: float,
-) -> float:
+def enter(shapes: Floats, k: int, delay: float, p: Triple, ray: Triple) -> float:
     """Depth d at which a ray `p + d * (x, y, z)` enters shape k, infinity if it misses."""
-    ax, ay, az = offset(shapes, k, delay, px, py, pz)
+    ax, ay, az = offset(shapes, k, delay, p)
+    x, y, z = ray
     if shapes[k, KIND] == SPHERE:
         return _enter_sphere(ax, ay, az, shapes[k, RADIUS], x, y, z)
     if shapes[k, KIND] == BOX:
@@ -77,14 +72,12 @@ def enter(
 
 
 @inlined
-def offset(
-    shapes: Floats, k: int, delay: float, px: float, py: float, pz: float
-) -> tuple[float, float, float]:
+def offset(shapes: Floats, k: int, delay: float, p: Triple) -> Triple:
     """Vector from a point to the centre or start of shape k, which has moved for `delay` s."""
     return (
-        shapes[k, A] + delay * shapes[k, VELOCITY] - px,
-        shapes[k, A + 1] + delay * shapes[k, VELOCITY + 1] - py,
-        shapes[k, A + 2] + delay * shapes[k, VELOCITY + 2] - pz,
+        shapes[k, A] + delay * shapes[k, VELOCITY] - p[0],
+        shapes[k, A + 1] + delay * shapes[k, VELOCITY + 1] - p[1],
+        shapes[k, A + 2] + delay * shapes[k, VELOCITY + 2] - p[2],
     )
 
 

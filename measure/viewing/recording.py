@@ -194,7 +194,7 @@ class RunRecording:
             self._stream.log(entities.image(name), shown)
 
 
-class Preview:
+class LivePictures:
     """What cameras show, in a viewer that runs: some pictures a second of each.
 
     Args:

@@ -109,8 +109,9 @@ class _Making:
 
         def work(job: Job) -> str:
             bench.record(job, session, self.seconds, calibrations[0])
-            job.title, size = f"looking for the balls in {session.name}", self.radius_mm
-            found = api.find_body(session, bench.registry, size, names, progress=job.progress)
+            job.title = f"looking for the balls in {session.name}"
+            search = api.BodySearch(self.radius_mm, names)
+            found = api.find_body(session, bench.registry, search, job.progress)
             api.write_body(out, found.body)
             self.found, bench.body = found, out
             return f"{out.name}: {len(found.body.balls)} balls, {found.frame_sets} frame sets"

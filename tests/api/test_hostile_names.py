@@ -209,7 +209,7 @@ WRITES: dict[str, Callable[[Place], Any]] = {
     "draw": lambda p: api.draw([], api.drawings([p.capture / "cam0.png"], p.out)),
     "draw_target": lambda p: api.draw_target(p.body, p.out / "body.pdf"),
     "export": lambda p: [api.export(p.run, kind, p.out / f"e.{kind}") for kind in ("csv", "trc")],
-    "find_body": lambda p: api.find_body(p.session, Registry.discover(), 20.0),
+    "find_body": lambda p: api.find_body(p.session, Registry.discover(), api.BodySearch(20.0)),
     "live": _live,
     "make_dataset": lambda p: learning_api.make_dataset(
         [p.run], [p.session / "cam1.csv"], "raven2", p.out / "d.parquet", AssemblySettings()

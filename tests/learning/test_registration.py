@@ -16,7 +16,7 @@ from measure.geometry import RigidTransform, chi_square_quantile
 from measure.metrology.poses import SharedErrors
 from measure_learning.core import assemble
 from measure_learning.core.frames import RobotFrame, read_frame
-from measure_learning.core.registration import Recording, RegisterOptions, register
+from measure_learning.core.registration import LoggedTrack, RegisterOptions, register
 from measure_learning.core.simulated import recording
 from measure_learning.robots import write_log
 from measure_learning.simulator import simulate
@@ -33,7 +33,7 @@ def arm() -> Arm:
 
 @pytest.fixture(scope="module")
 def frame(arm: Arm) -> RobotFrame:
-    return register([Recording(arm.track, arm.log)], RegisterOptions())
+    return register([LoggedTrack(arm.track, arm.log)], RegisterOptions())
 
 
 def off(frame: RobotFrame, arm: Arm) -> tuple[np.ndarray, float]:
@@ -64,7 +64,7 @@ def test_what_is_stated_covers_the_errors(kinematics: bool) -> None:
     squares = []
     for seed in range(4):
         one = recorded(10 + seed, seconds=30.0, frame_hz=5.0)
-        found = register([Recording(one.track, one.log)], RegisterOptions(kinematics))
+        found = register([LoggedTrack(one.track, one.log)], RegisterOptions(kinematics))
         squares.append(off(found, one)[1])
     assert sum(square > chi_square_quantile(0.95, 13) for square in squares) <= 1
     assert max(squares) < chi_square_quantile(0.999, 13)
@@ -72,7 +72,7 @@ def test_what_is_stated_covers_the_errors(kinematics: bool) -> None:
 
 
 def test_the_errors_of_the_links_are_fitted_and_named(arm: Arm) -> None:
-    found = register([Recording(arm.track, arm.log)], RegisterOptions(kinematics=True))
+    found = register([LoggedTrack(arm.track, arm.log)], RegisterOptions(kinematics=True))
     assert found.judgement["held_out_rms_mm"] < 0.12
     facts = found.kinematics
     assert facts is not None
@@ -103,7 +103,7 @@ def test_recordings_share_a_frame_and_have_a_clock_each(arm: Arm, frame: RobotFr
         )
         for name, rows in (("a", slice(0, half)), ("b", slice(half, None)))
     ]
-    pairs = [Recording(tracks[0], arm.log), Recording(tracks[1], late)]
+    pairs = [LoggedTrack(tracks[0], arm.log), LoggedTrack(tracks[1], late)]
     found = register(pairs, RegisterOptions())
     apart = found.clock_offsets_s["b"] - found.clock_offsets_s["a"]
     assert apart == pytest.approx(0.7, abs=1e-3)
@@ -115,7 +115,7 @@ def test_false_poses_do_not_move_the_frame(arm: Arm, frame: RobotFrame) -> None:
     places = arm.track.positions_mm.copy()
     places[[20, 111, 250]] += 40.0
     found = register(
-        [Recording(replace(arm.track, positions_mm=places), arm.log)], RegisterOptions()
+        [LoggedTrack(replace(arm.track, positions_mm=places), arm.log)], RegisterOptions()
     )
     assert np.linalg.norm(found.world_from_base.difference(frame.world_from_base)[:3]) < 0.1
 
@@ -123,7 +123,7 @@ def test_false_poses_do_not_move_the_frame(arm: Arm, frame: RobotFrame) -> None:
 def test_a_robot_without_known_kinematics(arm: Arm) -> None:
     """The reported point alone: where it is on the body, and where the base is."""
     bare = replace(arm.log, schema=replace(arm.log.schema, chain=None, joints=()))
-    found = register([Recording(arm.track, bare)], RegisterOptions())
+    found = register([LoggedTrack(arm.track, bare)], RegisterOptions())
     point = found.flange_from_body.inverse().translation
     true = arm.flange_from_body.inverse().translation
     assert np.linalg.norm(point - true) < 1.0
@@ -151,7 +151,7 @@ def test_what_a_motion_leaves_open_is_named_and_the_rest_delivered(
 ) -> None:
     one = recorded(0, **SHORT, swing_deg=np.array(swing, dtype=np.float64))
     given = RegisterOptions(clock_offset_s=one.clock_offset_s)
-    found = register([Recording(one.track, one.log)], given)
+    found = register([LoggedTrack(one.track, one.log)], given)
     first = found.judgement["not_separable"][0]
     assert "not determined by this motion" in first
     assert [part in first for part in said] == [True] * len(said)
@@ -167,8 +167,8 @@ def test_what_a_motion_leaves_open_is_named_and_the_rest_delivered(
 def test_too_short_a_motion_is_refused_with_what_it_lacks(arm: Arm) -> None:
     short = recorded(0, seconds=12.0, frame_hz=8.0)
     with pytest.raises(EstimatorError, match=r"96 poses .* over 11\.9 s: at least 30 over 15 s"):
-        register([Recording(short.track, short.log)], RegisterOptions())
-    flat = Recording(replace(arm.track, rotations=None), arm.log)
+        register([LoggedTrack(short.track, short.log)], RegisterOptions())
+    flat = LoggedTrack(replace(arm.track, rotations=None), arm.log)
     with pytest.raises(EstimatorError, match="positions alone; registering needs poses"):
         register([flat], RegisterOptions())
 
@@ -181,7 +181,7 @@ def test_wrong_kinematics_are_named() -> None:
     joints = (*wrong.joints[:3], replace(wrong.joints[3], link=link), *wrong.joints[4:])
     one = recorded(3, **SHORT, known=replace(wrong, joints=joints))
     with pytest.raises(EstimatorError, match=r"leave \d\.\d mm .* link4_x_mm off by -(29|3\d)\."):
-        register([Recording(one.track, one.log)], RegisterOptions())
+        register([LoggedTrack(one.track, one.log)], RegisterOptions())
 
 
 def test_joints_that_are_not_those_of_the_poses_are_refused() -> None:
@@ -191,7 +191,7 @@ def test_joints_that_are_not_those_of_the_poses_are_refused() -> None:
     log = replace(one.log, states=np.concatenate([q, ur5e().tip_mm(q)], axis=1))
     given = RegisterOptions(clock_offset_s=one.clock_offset_s)
     with pytest.raises(EstimatorError, match=r"in another order \(q2, q1, q0, q3, q4, q5 are"):
-        register([Recording(one.track, log)], given)
+        register([LoggedTrack(one.track, log)], given)
 
 
 def test_a_simulated_raven_says_what_it_cannot_separate() -> None:
@@ -212,7 +212,7 @@ def test_a_simulated_raven_says_what_it_cannot_separate() -> None:
         rotations=seen.rotation,
         pose_covariances=P,
     )
-    found = register([Recording(poses, log)], RegisterOptions())
+    found = register([LoggedTrack(poses, log)], RegisterOptions())
     said = found.judgement["not_separable"][0]
     assert "joints homed wrongly) move the tip as another base would" in said
     d = found.world_from_base.difference(world_from_base)
@@ -264,7 +264,7 @@ def test_errors_that_a_run_shares_are_in_the_covariance(arm: Arm) -> None:
     """Of cameras and body, they do not average out."""
     errors = SharedErrors(CAMERAS, BODY)
     alone, shared = (
-        register([Recording(arm.track, arm.log, known)], RegisterOptions(kinematics=True))
+        register([LoggedTrack(arm.track, arm.log, known)], RegisterOptions(kinematics=True))
         for known in (None, errors)
     )
     more = np.diag(shared.covariance)[:12] / np.diag(alone.covariance)[:12]
@@ -277,7 +277,7 @@ def test_joints_that_stand_exactly_still_leave_their_links_open(moving: list[int
     one = recorded(3, **SHORT, swing_deg=SWING_DEG * moving)
     for kinematics in (False, True):
         options = RegisterOptions(kinematics, largest_offset_s=2e9)  # no more is searched than is
-        found = register([Recording(one.track, one.log)], options)
+        found = register([LoggedTrack(one.track, one.log)], options)
         miss = found.world_from_base.difference(one.world_from_base)[:3]
         assert miss @ np.linalg.solve(found.covariance[:3, :3], miss) < chi_square_quantile(0.99, 3)
         assert np.linalg.norm(miss) < 10.0
@@ -294,10 +294,10 @@ def test_mirrored_poses_are_refused_whatever_may_be_fitted() -> None:
     )
     options = RegisterOptions(kinematics=True, clock_offset_s=one.clock_offset_s)
     with pytest.raises(EstimatorError, match="mirrored"):
-        register([Recording(track, one.log)], options)
+        register([LoggedTrack(track, one.log)], options)
 
 
 def test_a_search_without_end_is_refused(arm: Arm) -> None:
     log = replace(arm.log, times_s=arm.log.times_s * 1000)
     with pytest.raises(EstimatorError, match=r"too many to search|share less than|no clock offset"):
-        register([Recording(arm.track, log)], RegisterOptions(largest_offset_s=2e9))
+        register([LoggedTrack(arm.track, log)], RegisterOptions(largest_offset_s=2e9))

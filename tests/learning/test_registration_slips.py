@@ -13,7 +13,7 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.robots import RobotLog
 from measure_learning.core import PoseTrack
-from measure_learning.core.registration import Recording, RegisterOptions, register
+from measure_learning.core.registration import LoggedTrack, RegisterOptions, register
 
 MIRROR = np.diag([-1.0, 1, 1])
 
@@ -72,7 +72,7 @@ def test_a_slip_is_told_by_its_name(
     arm: Arm, slip: Callable[[PoseTrack, RobotLog], tuple[PoseTrack, RobotLog]], words: str
 ) -> None:
     with pytest.raises(EstimatorError, match=words):
-        register([Recording(*slip(arm.track, arm.log))], RegisterOptions())
+        register([LoggedTrack(*slip(arm.track, arm.log))], RegisterOptions())
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_what_can_be_undone_is_undone(
     arm: Arm, slip: Callable[[PoseTrack, RobotLog], tuple[PoseTrack, RobotLog]]
 ) -> None:
     """Clocks of any origin; and the negative control: nothing is found where nothing is wrong."""
-    found = register([Recording(*slip(arm.track, arm.log))], RegisterOptions())
+    found = register([LoggedTrack(*slip(arm.track, arm.log))], RegisterOptions())
     assert np.linalg.norm(found.world_from_base.difference(arm.world_from_base)[:3]) < 3.0
     assert found.judgement["left_out"] == 0
 
@@ -101,7 +101,7 @@ def test_angles_that_jump_by_a_turn_have_not_moved(arm: Arm) -> None:
     jumps = np.abs(np.diff(wrapped(arm.log.states[:, :6].copy())[:, 5])) > 3
     assert jumps.sum() > 5
     log = logged(arm.log, wrapped)
-    found = register([Recording(arm.track, log)], RegisterOptions())
+    found = register([LoggedTrack(arm.track, log)], RegisterOptions())
     assert found.judgement["rms_mm"] < 0.5
     assert found.judgement["left_out"] == 0
 
@@ -111,7 +111,7 @@ def test_outliers_are_left_out_before_anything_is_judged(arm: Arm) -> None:
     off = rng.random(len(arm.track.times_s)) < 0.05
     places = arm.track.positions_mm + 50 * off[:, None] * rng.normal(size=(len(off), 3))
     plain, found = (
-        register([Recording(track, arm.log)], RegisterOptions())
+        register([LoggedTrack(track, arm.log)], RegisterOptions())
         for track in (arm.track, moved(arm.track, places))
     )
     assert 0 < off.sum() - found.judgement["left_out"] + 1 <= 2
@@ -123,16 +123,16 @@ def test_outliers_are_left_out_before_anything_is_judged(arm: Arm) -> None:
 def test_cameras_on_the_flange(arm: Arm) -> None:
     """Done if it is said; refused if it is said and not so."""
     options = RegisterOptions(eye_in_hand=True)
-    found = register([Recording(arm.track.inverted(), arm.log)], options)
+    found = register([LoggedTrack(arm.track.inverted(), arm.log)], options)
     assert found.eye_in_hand
     assert found.values()["eye_in_hand"] is True
     assert np.linalg.norm(found.world_from_base.difference(arm.world_from_base)[:3]) < 3.0
-    plain = register([Recording(arm.track, arm.log)], RegisterOptions())
+    plain = register([LoggedTrack(arm.track, arm.log)], RegisterOptions())
     points = [f.to_base(t).positions_mm
               for f, t in ((found, arm.track.inverted()), (plain, arm.track))]  # fmt: skip
     assert np.abs(points[0] - points[1]).max() < 1.0
     with pytest.raises(EstimatorError, match="leave out --eye-in-hand"):
-        register([Recording(arm.track, arm.log)], options)
+        register([LoggedTrack(arm.track, arm.log)], options)
 
 
 def test_a_clock_is_as_uncertain_as_slack_makes_it() -> None:
@@ -151,7 +151,7 @@ def test_a_clock_is_as_uncertain_as_slack_makes_it() -> None:
         0.05 * np.array([1, 1, 1, 0.05, 0.05, 0.05]) * rng.normal(size=(len(at), 6))
     )
     track = moved(one.track, seen.translation, seen.rotation)
-    found = register([Recording(track, one.log)], RegisterOptions())
+    found = register([LoggedTrack(track, one.log)], RegisterOptions())
     off = abs(found.clock_offsets_s[track.name] - one.clock_offset_s)
     sd = np.sqrt(found.covariance[12, 12])
     assert off > 1e-3
@@ -167,4 +167,4 @@ def test_a_body_that_creeps_on_the_tool_is_named(arm: Arm) -> None:
     track = moved(arm.track, arm.track.positions_mm, arm.track.rotations @ turns)
     words = r"the body on the tool moved by \d\.\d mm and [456]\."
     with pytest.raises(EstimatorError, match=words):
-        register([Recording(track, arm.log)], RegisterOptions())
+        register([LoggedTrack(track, arm.log)], RegisterOptions())

@@ -20,6 +20,7 @@ from measure.simulation.kernels import (
     REFLECTANCE,
     ROUGHNESS,
     Points,
+    Triple,
     enter,
     find_normal,
     offset,
@@ -153,13 +154,13 @@ def trace_mirrored(
 @inlined
 def _find_next(points: Points, i: int, d: Floats, shapes: Floats, hits: Points, j: int) -> None:
     """Fill hit j: the first shape on the ray from point i in a direction (3,)."""
-    delay, x, y, z = points.delay_s[i], d[0], d[1], d[2]
-    px, py, pz = points.place[i, 0], points.place[i, 1], points.place[i, 2]
+    delay, ray = points.delay_s[i], (d[0], d[1], d[2])
+    p = points.place[i, 0], points.place[i, 1], points.place[i, 2]
     nearest, found = math.inf, NOTHING
     for k in range(len(shapes)):
         # No shape mirrors itself: all are convex.
-        if k != points.shape[i] and _within_reach(shapes, k, delay, px, py, pz, x, y, z):
-            away = enter(shapes, k, delay, px, py, pz, x, y, z)
+        if k != points.shape[i] and _within_reach(shapes, k, delay, p, ray):
+            away = enter(shapes, k, delay, p, ray)
             if away < nearest:
                 nearest, found = away, k
     hits.shape[j], hits.delay_s[j] = found, delay
@@ -171,19 +172,10 @@ def _find_next(points: Points, i: int, d: Floats, shapes: Floats, hits: Points, 
 
 
 @inlined
-def _within_reach(
-    shapes: Floats,
-    k: int,
-    delay: float,
-    px: float,
-    py: float,
-    pz: float,
-    x: float,
-    y: float,
-    z: float,
-) -> bool:
+def _within_reach(shapes: Floats, k: int, delay: float, p: Triple, ray: Triple) -> bool:
     """Whether a ray from `p` along a unit vector passes through the bounding ball of shape k."""
-    ax, ay, az = offset(shapes, k, delay, px, py, pz)
+    ax, ay, az = offset(shapes, k, delay, p)
+    x, y, z = ray
     along, reach2 = ax * x + ay * y + az * z, shapes[k, REACH] ** 2
     away2 = ax * ax + ay * ay + az * az - reach2
     return (along > 0 or away2 < 0) and along * along >= away2

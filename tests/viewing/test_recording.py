@@ -92,7 +92,7 @@ def test_the_first_plot_shows_errors_only_where_there_is_a_truth(truth):
 def test_a_preview_shows_five_pictures_a_second_of_each_camera(tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "check_listening", lambda address: None)
     monkeypatch.setattr(recording.rr, "GrpcSink", lambda _: rr.FileSink(tmp_path / "seen.rrd"))
-    preview = recording.Preview(["a", "b"], "nowhere")
+    preview = recording.LivePictures(["a", "b"], "nowhere")
     for frame in range(15):
         for name in ("a", "b"):
             preview.add(Image(name, frame, 1.7e9 + 0.07 * frame, lambda: None, bytes([frame])))

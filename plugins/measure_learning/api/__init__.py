@@ -11,6 +11,7 @@ from measure_learning.api.correcting import (
 )
 from measure_learning.api.pairing import (
     RenderOptions,
+    RunFacts,
     SimulationOptions,
     make_dataset,
     register,
@@ -27,7 +28,7 @@ from measure_learning.api.training import (
 )
 
 __all__ = [
-    "RenderOptions", "SimulationOptions", "SweepOptions", "TrainOptions", "ablate",
+    "RenderOptions", "RunFacts", "SimulationOptions", "SweepOptions", "TrainOptions", "ablate",
     "correct_simulated_robot", "estimate_file", "estimate_online", "make_dataset", "model_file",
     "parse_settings", "register", "rezero", "robot_recording", "shipped_model",
     "simulate_dataset", "simulate_recording", "sweep", "train",

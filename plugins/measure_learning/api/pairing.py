@@ -26,6 +26,21 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True)
+class RunFacts:
+    """What is known of runs that are paired with a robot's log.
+
+    Attributes:
+        frame: where the robot is, written by `measure register`; its base is the cameras' world
+            and its tip the body's origin if omitted.
+        restart_name: of the robot's restart or the day, one for all runs or one each; training
+            keeps runs of one name together.
+    """
+
+    frame: Path | None = None
+    restart_name: tuple[str, ...] = ()
+
+
 def make_dataset(
     runs: Sequence[Path],
     logs: Sequence[Path],
@@ -34,8 +49,7 @@ def make_dataset(
     settings: AssemblySettings,
     *,
     topic: str | None = None,
-    frame: Path | None = None,
-    restarts: Sequence[str] = (),
+    known: RunFacts | None = None,
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     """Pair runs with robot logs, or take tables that already hold labels, and write a data set.
 
@@ -45,20 +59,19 @@ def make_dataset(
         robot: name of a state schema, or a robot.toml.
         out: the Parquet file; its data card goes beside it.
         topic: of the state messages, if a log is a bag.
-        frame: where the robot is, by `register`; its base is the cameras' world if omitted.
-        restarts: names of restarts or days, one for all runs or one each: runs of one name count
-            as one recording where recordings are kept apart.
     """
     from measure_learning.core import assemble, files
 
     _check_name(out)
     schema = find_schema(robot)
+    known = known or RunFacts()
     facts: list[TrajectoryFacts] = []
     if logs:
-        tracks = _of_restarts(read_tracks(runs, frame, schema.robot), restarts)
+        tracks = read_tracks(runs, known.frame, schema.robot)
+        tracks = _of_restarts(tracks, known.restart_name)
         each = open_logs(runs, logs, schema, topic)
         data, facts = assemble(list(zip(tracks, each, strict=True)), settings)
-    elif restarts:
+    elif known.restart_name:
         raise ConfigError("--restart-name is of runs: tables of labels have a column `restart`")
     else:
         data = _labelled(runs, schema, settings.as_it_is)
@@ -242,7 +255,7 @@ def register(
     from measure.results import read_run
     from measure.results.pose_table import shared_errors
     from measure_learning.core import files
-    from measure_learning.core.registration import Recording, register, register_stops
+    from measure_learning.core.registration import LoggedTrack, register, register_stops
     from measure_learning.core.stops import pairs_in_table
     from measure_learning.robots import find_schema
 
@@ -263,7 +276,7 @@ def register(
         raise EstimatorError("two recordings have the same name: rename one")
     shared = [shared_errors(read_run(run)) if run.is_dir() else None for run in runs]
     opened = _logs_or_tool_poses(tracks, logs, schema, topic)
-    return register(list(map(Recording, tracks, opened, shared)), options)
+    return register(list(map(LoggedTrack, tracks, opened, shared)), options)
 
 
 def _logs_or_tool_poses(

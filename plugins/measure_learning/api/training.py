@@ -69,15 +69,16 @@ def train(
         check_seeds(split_seed=options.split_seed, seed=options.seed)
         if options.folds < 0 or options.folds == 1:
             raise ConfigError(f"--folds {options.folds}: expected 2 groups or more, or 0 for none")
+        estimator = registry.build(Estimator, options.estimator, dict(settings or {}))
+        estimator.folds = options.folds
         trained = learning.train(
-            registry.build(Estimator, options.estimator, dict(settings or {})),
+            estimator,
             _split(data, options),
             file,
             seed=options.seed,
             report=report,
             checkpoint=out.with_suffix(".checkpoint"),
             resume=options.resume,
-            folds=options.folds,
             notes=notes,
         )
         card, _, page = map(file.with_suffix, beside)

@@ -22,8 +22,7 @@ def dataset(
     *,
     out: OutFile,
     overwrite: Overwrite = False,
-    frame: Path | None = None,
-    restart_name: tuple[str, ...] = (),
+    known: Annotated[learning_api.RunFacts, FIELDS] = learning_api.RunFacts(),
     source: RobotOptions = RobotOptions(),
     assembly: Annotated[AssemblySettings, FIELDS] = AssemblySettings(),
     simulation: Annotated[
@@ -39,22 +38,18 @@ def dataset(
     Args:
         runs: run folders, or files of poses; without a log, tables that already hold errors.
         out: the data set's file (.parquet).
-        frame: where the robot is, written by `measure register`; its base is the cameras' world
-            and its tip the body's origin if omitted.
-        restart_name: of the robot's restart or the day, one for all runs or one each; training
-            keeps runs of one name together.
     """
     if bool(runs) == (simulation.simulate_min is not None):
         raise ConfigError("give runs, or --simulate-min MINUTES, but not both")
     logs, robot, topic = source.robot_log, source.robot, source.topic
-    read = (*runs, *logs, Path(robot), *([frame] if frame else []))
+    read = (*runs, *logs, Path(robot), *([known.frame] if known.frame else []))
     with api.output(out, overwrite, read, [".card.json"]) as file:
         if not runs:
             with console.progress("simulating", unit="per mille") as report:
                 data, facts = learning_api.simulate_dataset(file, simulation, shares(report))
         else:
             data, facts = learning_api.make_dataset(
-                runs, logs, robot, file, assembly, topic=topic, frame=frame, restarts=restart_name
+                runs, logs, robot, file, assembly, topic=topic, known=known
             )
     labels = LabelFacts.of(data)
     if json:

@@ -13,6 +13,7 @@ from measure.geometry import RigidTransform
 from measure.geometry.covariance import MAD_TO_SD, inverted
 from measure.host import Dataset
 from measure.metrology.poses import PoseTable
+from measure.robots import StateSchema
 from measure_learning.core.clock import ClockOffset, estimate_offset
 from measure_learning.core.labels import (
     check_frames,
@@ -182,10 +183,7 @@ def _assemble_one(
     offset = clock.offset_s if clock else settings.clock_offset_s or 0.0
     times, row_of_pose = _row_times(track.times_s + offset, finite, settings.history_hz)
     states, near = interpolate(finite, times, _LONGEST_GAP_S)
-    positions = np.full((len(times), 3), np.nan)
-    covariances = np.tile(np.eye(3), (len(times), 1, 1))
-    positions[row_of_pose] = track.positions_mm
-    covariances[row_of_pose] = np.where(np.isfinite(track.covariances), track.covariances, 1.0)
+    positions, covariances = _measured_at(track, row_of_pose, len(times))
     reported = log.schema.position_mm(states)
     errors = positions - reported
     measured = np.asarray(np.isfinite(errors).all(axis=1))
@@ -198,10 +196,7 @@ def _assemble_one(
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     marks = _EventMarks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
     judged = marks.judged
-    if (chain := log.schema.chain) is not None and track.rotations is not None:
-        turned = judged[row_of_pose]
-        joints = log.schema.joint_positions(states[row_of_pose[turned]])
-        check_turns(track.name, track.rotations[turned], chain.pose(joints).rotation)
+    _check_turns(track, log.schema, states[row_of_pose], judged[row_of_pose])
     check_frames(track.name, positions[judged], reported[judged])
     given = clock is None and bool(np.all(np.diff(times) > 0))
     velocity = np.gradient(reported, times, axis=0)[judged] if given else None
@@ -223,6 +218,22 @@ def _assemble_one(
     bad = int((~log.complete[during]).sum())
     facts = _facts(track, marks, bad, float(times[-1] - times[0]), clock)
     return part, replace(facts, doubts=doubts)
+
+
+def _measured_at(track: PoseTrack, rows: Ints, count: int) -> tuple[Floats, Floats]:
+    """Positions (count, 3), NaN where none is measured, and covariances, of a track's `rows`."""
+    positions = np.full((count, 3), np.nan)
+    covariances = np.tile(np.eye(3), (count, 1, 1))
+    positions[rows] = track.positions_mm
+    covariances[rows] = np.where(np.isfinite(track.covariances), track.covariances, 1.0)
+    return positions, covariances
+
+
+def _check_turns(track: PoseTrack, schema: StateSchema, states: Floats, judged: Bools) -> None:
+    """Refuse measured turns of the `judged` poses that are not those of their joints' states."""
+    if schema.chain is not None and track.rotations is not None:
+        joints = schema.joint_positions(states[judged])
+        check_turns(track.name, track.rotations[judged], schema.chain.pose(joints).rotation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,16 +79,11 @@ def estimate_offset(
     lags, scores = _agreements(cameras, robot, grid, largest_s)
     best = int(np.argmax(scores))
     if not scores[best] >= _MIN_CORRELATION:
-        step, own = (float(np.median(np.diff(t))) for t in (camera_times_s, robot_times_s))
-        what, longest = max(("Poses", step), ("States", own), key=lambda pair: pair[1])
-        hint = (
-            f" {what} every {longest:.3g} s hardly show speeds: if that is in s, give the offset."
-        )
+        hint = _sparse_hint(camera_times_s, robot_times_s)
         raise EstimatorError(
             f"no clock offset within {largest_s:g} s makes the measured and the reported velocity "
             f"agree (best correlation {scores[best]:.2f}): is this the log of this recording, "
-            "no axis reversed, and the tip the body's origin (else `measure register`)?"
-            + (hint if longest > _SPARSE_POSES_S else "")
+            f"no axis reversed, and the tip the body's origin (else `measure register`)?{hint}"
         )
     rival = int(np.argmax(np.where(np.abs(lags - lags[best]) > _MIN_RIVAL_DISTANCE_S, scores, 0.0)))
     if 1 - scores[rival] ** 2 < _MIN_RESIDUAL_RATIO * (1 - scores[best] ** 2):
@@ -98,6 +93,15 @@ def estimate_offset(
             "is too short: give the clock offset"
         )
     return _refine(cameras, robot, grid, float(lags[best]), float(scores[best]))
+
+
+def _sparse_hint(camera_times_s: Floats, robot_times_s: Floats) -> str:
+    """Says of times that lie too far apart that these may be why no speeds agree."""
+    step, own = (float(np.median(np.diff(t))) for t in (camera_times_s, robot_times_s))
+    what, longest = max(("Poses", step), ("States", own), key=lambda pair: pair[1])
+    if longest <= _SPARSE_POSES_S:
+        return ""
+    return f" {what} every {longest:.3g} s hardly show speeds: if that is in s, give the offset."
 
 
 def _common_times(camera_s: Floats, robot_s: Floats, largest_s: float) -> Floats:

@@ -17,7 +17,7 @@ from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, fit_fra
 from measure_learning.core.frames import RobotFrame
 from measure_learning.core.judged_frames import judgement
 from measure_learning.core.labels import check_turns
-from measure_learning.core.sightings import Recording as Recording
+from measure_learning.core.sightings import LoggedTrack as LoggedTrack
 from measure_learning.core.sightings import clock_of, moving, own_delays_s, rough_clock_of
 from measure_learning.core.slips import changed, explain
 from measure_learning.core.stops import LEAST_STOPS, Stops, at_rest, is_sparse, stop_sightings
@@ -65,7 +65,7 @@ class RegisterOptions:
             )
 
 
-def register(recordings: Sequence[Recording], options: RegisterOptions) -> RobotFrame:
+def register(recordings: Sequence[LoggedTrack], options: RegisterOptions) -> RobotFrame:
     """Find world_from_base, flange_from_body and the clock of every recording, all at once.
 
     The flange is the point that the robot reports, turned as its kinematics say. Where these are
@@ -154,7 +154,7 @@ def _frame(
     )
 
 
-def _refuse_unfit(recordings: Sequence[Recording], kinematics: bool) -> None:
+def _refuse_unfit(recordings: Sequence[LoggedTrack], kinematics: bool) -> None:
     schema = recordings[0].log.schema
     if kinematics and (schema.chain is None or isinstance(schema.chain, ToolPoses)):
         raise _no_chain(schema)
@@ -178,7 +178,7 @@ def _no_chain(schema: StateSchema) -> EstimatorError:
 
 
 def _slip_behind(
-    recordings: Sequence[Recording], options: RegisterOptions, problem: EstimatorError
+    recordings: Sequence[LoggedTrack], options: RegisterOptions, problem: EstimatorError
 ) -> EstimatorError:
     """What a recording is refused for whose clock no motion shows: a slip, if one explains it."""
     schema = recordings[0].log.schema

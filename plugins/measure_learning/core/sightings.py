@@ -29,7 +29,7 @@ _LEAST_EXPLAINED = 0.3  # share of a motion's variance that joints of other sign
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class LoggedTrack:
     """Poses of the body on the tool, and the robot's log."""
 
     track: PoseTrack
@@ -37,7 +37,7 @@ class Recording:
     shared: SharedErrors | None = None  # what the poses err by together, if that is known
 
 
-def clock_of(one: Recording, largest_s: float) -> float:
+def clock_of(one: LoggedTrack, largest_s: float) -> float:
     """By the turns, which are the same wherever on the tool the body is; else by the places."""
     track, log, chain = one.track.measured(), one.log, one.log.schema.chain
     assert track.rotations is not None
@@ -64,7 +64,7 @@ def clock_of(one: Recording, largest_s: float) -> float:
     raise problem
 
 
-def rough_clock_of(one: Recording) -> float | None:
+def rough_clock_of(one: LoggedTrack) -> float | None:
     """The offset by motion alone, whatever the joints' order and signs and the poses' axes."""
     track = one.track.measured()
     assert track.rotations is not None
@@ -82,7 +82,7 @@ def rough_clock_of(one: Recording) -> float | None:
     return offset if explained > _LEAST_EXPLAINED else None
 
 
-def _joints(one: Recording) -> tuple[Floats, Floats]:
+def _joints(one: LoggedTrack) -> tuple[Floats, Floats]:
     """Times (n,) and joints (n, joints) of a log, angles without jumps by a turn."""
     log = one.log
     rows = np.flatnonzero(log.complete)
@@ -100,7 +100,9 @@ def _turning_path(rotations: Floats) -> Floats:
     return _PATH_MM_PER_RAD * np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
 
-def moving(recordings: Sequence[Recording], clocks_s: Floats, given: bool, most: int) -> Sightings:
+def moving(
+    recordings: Sequence[LoggedTrack], clocks_s: Floats, given: bool, most: int
+) -> Sightings:
     """Poses and states of the same instants; poses without a state near in time are left out."""
     schema = recordings[0].log.schema
     measured = [r.track.measured() for r in recordings]

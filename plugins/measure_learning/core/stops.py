@@ -21,7 +21,7 @@ from measure.model import Ball, BallColor, Body
 from measure.robots import StateSchema
 from measure_learning.core.assemble import PoseTrack
 from measure_learning.core.frame_fit import Sightings, align_turns
-from measure_learning.core.sightings import Recording
+from measure_learning.core.sightings import LoggedTrack
 
 LEAST_STOPS = 8
 _SPARSE_S = 0.4  # between poses or states, from which they are of a robot that stood still
@@ -63,7 +63,7 @@ def pairs_in_table(track: PoseTrack, states: Floats) -> Stops:
     return Stops(track.name, track.table().take(good), states[good])
 
 
-def at_rest(one: Recording, clock_offset_s: float | None) -> Stops | None:
+def at_rest(one: LoggedTrack, clock_offset_s: float | None) -> Stops | None:
     """The stops of a recording, matched by their rests; None if these are not enough."""
     track, log = one.track.measured(), one.log
     if len(track.times_s) < LEAST_STOPS or log.complete.sum() < LEAST_STOPS:
@@ -133,7 +133,7 @@ _ANY_BODY = Body(
 """Of poses in a table: where its balls are matters for how far the light reaches alone."""
 
 
-def _robot_rests(one: Recording) -> tuple[Floats, _RestSpans]:
+def _robot_rests(one: LoggedTrack) -> tuple[Floats, _RestSpans]:
     """States (n, features) of the robot's rests; every state is one if they are far apart."""
     log = one.log
     rows = np.flatnonzero(log.complete)

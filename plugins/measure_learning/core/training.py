@@ -47,9 +47,8 @@ def train(
     *,
     seed: int,
     report: Report,
-    checkpoint: Path | None = None,
+    checkpoint: Path,
     resume: bool = False,
-    folds: int = 4,
     notes: Mapping[str, str] | None = None,
 ) -> Trained:
     """Fit, evaluate and save.
@@ -57,9 +56,8 @@ def train(
     Args:
         split: training, validation (chooses and stops) and test trajectories (judged only here).
         out: the ONNX file to write; `OUT.card.md` and `OUT.card.json` go beside it.
-        checkpoint: folder of what an interrupted fit leaves; `OUT.checkpoint` if omitted.
+        checkpoint: folder of what an interrupted fit leaves.
         resume: go on from where such a one got to.
-        folds: groups of recordings left out in turn to judge the covariance; 0 leaves none out.
         notes: further lines of the card.
     """
     if out.suffix != ".onnx":
@@ -70,11 +68,10 @@ def train(
                 f"all errors of the {what} trajectories are 0: the robot needs no correction, or "
                 "the labels are missing"
             )
-    checkpoint = checkpoint or out.with_suffix(".checkpoint")
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
     if not resume:
         shutil.rmtree(checkpoint, ignore_errors=True)
-    estimator.checkpoint, estimator.folds = checkpoint, folds
+    estimator.checkpoint = checkpoint
     fit(estimator, split.train, split.validation, seed=seed, report=report)
     trained = _save(estimator, split, out, _provenance(estimator, split, seed) | dict(notes or {}))
     shutil.rmtree(checkpoint, ignore_errors=True)

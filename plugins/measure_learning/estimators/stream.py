@@ -97,7 +97,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         self._bank = PlayBank.of(data, c.play_widths, c.narrowest, c.widest, halves=True)
         self._outputs = OutputUnits.of(data)
         training_set = TrainingSet(data, validation, self._inputs, self._outputs, self._moving)
-        log = _Progress(
+        log = _CurveLog(
             _PERCEPTRON_SHARE * c.perceptrons * c.perceptron_epochs + c.grus * c.gru_epochs
         )
         self._perceptrons = self._fit_perceptrons(training_set, seed, log, report)
@@ -122,7 +122,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         return process
 
     def _fit_perceptrons(
-        self, data: TrainingSet, seed: int, log: _Progress, report: host.Report
+        self, data: TrainingSet, seed: int, log: _CurveLog, report: host.Report
     ) -> _nets.Perceptrons:
         c, outputs = self.config, len(self._outputs.scale)
         how = Training(c.perceptron_epochs, noise=c.noise, decay=0.2 * c.decay)
@@ -138,7 +138,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         )
 
     def _fit_grus(
-        self, data: TrainingSet, seed: int, log: _Progress, report: host.Report
+        self, data: TrainingSet, seed: int, log: _CurveLog, report: host.Report
     ) -> _nets.Grus:
         c, outputs = self.config, len(self._outputs.scale)
         how = Training(c.gru_epochs, noise=c.noise, decay=c.decay, dropout=c.dropout)
@@ -228,7 +228,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         return np.concatenate([scaled, self._bank.features(data)], axis=1)
 
 
-class _Progress:
+class _CurveLog:
     """The learning curve of all nets in a row, and the progress it means."""
 
     def __init__(self, total: float) -> None:

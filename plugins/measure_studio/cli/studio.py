@@ -10,7 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.options import CaptureOptions, InjectedRegistry
+from measure.cli.options import CameraOptions, InjectedRegistry
 from measure.errors import ConfigError
 
 
@@ -21,7 +21,7 @@ def studio(
     port: int = 8080,
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
     host: str = "127.0.0.1",
-    capture: CaptureOptions = CaptureOptions(),
+    capture: CameraOptions = CameraOptions(),
     registry: InjectedRegistry,
 ) -> None:
     """Serve a page that leads from cameras on a desk to a measured object.
