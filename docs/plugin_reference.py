@@ -35,6 +35,7 @@ and `Bytes` (of `measure.arrays`) are numpy arrays of float64, int64, bool and u
 errors are those of `measure.errors`; `StateSchema` is that of `measure.robots`.
 """
 SECTIONS = ("Attributes", "Args", "Returns", "Yields", "Raises", "Example", "Examples")
+_CONSTRUCTOR = "Constructor."
 
 
 def plugin_page() -> str:
@@ -69,7 +70,7 @@ def members(described: type) -> Iterator[tuple[str, str, str]]:
             yield name, f"{name}: {_result(getter)}", inspect.getdoc(getter) or ""
         elif name == "__init__":
             if not dataclasses.is_dataclass(described):
-                yield name, _call(described.__name__, function), "Constructor."
+                yield name, _call(described.__name__, function), _CONSTRUCTOR
         elif inspect.isfunction(function):
             yield name, _call(name, function), inspect.getdoc(function) or ""
 
@@ -115,38 +116,40 @@ def _defines_class(name: str, value: object) -> bool:
 
 
 def _package(package: ModuleType) -> str:
+    """Its functions and constants in one list, then each class."""
+    names = sorted(getattr(package, "__all__", ()), key=str.casefold)
+    classes = [name for name in names if _defines_class(name, getattr(package, name))]
+    others = [_other(package, name) for name in names if name not in classes]
     parts = [f"\n## {package.__name__}\n\n{inspect.getdoc(package)}\n"]
-    for name in sorted(getattr(package, "__all__", ()), key=str.casefold):
-        value, text = getattr(package, name), description(package, name)
-        if _defines_class(name, value):
-            parts.append(f"\n### {name}\n\n`{_class_line(value)}`\n\n{_class(value, text)}")
-        elif inspect.isroutine(value):
-            parts.append(f"\n### {name}\n\n`{_call(name, value)}`\n\n{_prose(text)}\n")
-        else:
-            parts.append(f"\n### {name}\n\n{_prose(text)}\n")
-    return "".join(parts)
+    parts += ["\n", *others] if others else []
+    return "".join([*parts, *(_class(package, name) for name in classes)])
 
 
-def _class_line(described: type) -> str:
-    bases = [b.__name__ for b in described.__bases__ if b is not object]
-    return f"class {described.__name__}" + (f"({', '.join(bases)})" if bases else "")
+def _other(package: ModuleType, name: str) -> str:
+    value, text = getattr(package, name), description(package, name)
+    return _item(_call(name, value) if inspect.isroutine(value) else name, text)
 
 
-def _class(described: type, text: str) -> str:
-    """The prose without its attributes, and a list of members."""
-    sections = _sections(text)
+def _class(package: ModuleType, name: str) -> str:
+    """A heading, the prose without its attributes, and a list of members."""
+    described = getattr(package, name)
+    sections = _sections(description(package, name))
     sections.pop("Attributes", None)
-    items = [_item(declared, said) for _, declared, said in members(described)]
+    bases = [f"`{b.__name__}`" for b in described.__bases__ if b is not object]
+    prose = (f"A {', '.join(bases)}. " if bases else "") + _joined(sections)
+    found = list(members(described))
+    items = [_item(shown, said) for member, shown, said in found if member[:5] != "test_"]
+    if tests := [f"`{member}`" for member, *_ in found if member.startswith("test_")]:
+        items.append(f"- Tests: {', '.join(tests)}.\n")
     if issubclass(described, enum.Enum):
         items = [f"- `{m.name}`: {m.value!r}\n" for m in described]
-    return _joined(sections) + "\n" + ("\n" + "".join(items) if items else "")
+    return f"\n### {name}\n\n{prose}\n" + ("\n" + "".join(items) if items else "")
 
 
 def _item(declared: str, text: str) -> str:
-    """A list item: the declaration, and the description indented below or behind it."""
-    lines = _prose(text).splitlines()
-    body = "".join(f"  {line}\n" if line else "\n" for line in lines)
-    return f"- `{declared}`\n\n{body}\n" if len(lines) > 1 else f"- `{declared}`: {text.strip()}\n"
+    """A list item of one line: the declaration, and the description behind it."""
+    said = "" if text == _CONSTRUCTOR else f": {_joined(_sections(text))}"
+    return f"- `{declared}`{said}\n"
 
 
 def _fields(described: type) -> list[tuple[str, str]]:
@@ -228,21 +231,16 @@ def _entries(section: str) -> list[tuple[str, str]]:
     return [(name, " ".join(words.split())) for name, words in found]
 
 
-def _prose(text: str) -> str:
-    return _joined(_sections(text))
-
-
 def _joined(sections: dict[str, str]) -> str:
-    """A docstring as Markdown: arguments as a list, results and errors as sentences."""
+    """A docstring on one line: arguments, results and errors as sentences."""
     parts = [sections.get("", "")]
     for title, body in sections.items():
         if title in ("Args", "Raises"):
-            label = {"Args": "Arguments", "Raises": "Raises"}[title]
-            items = "\n".join(f"- `{name}`: {words}" for name, words in _entries(body))
-            parts.append(f"{label}:\n\n{items}")
+            entries = [f"`{name}`: {words.rstrip('.')}" for name, words in _entries(body)]
+            parts.append(f"{'' if title == 'Args' else 'Raises '}{'; '.join(entries)}.")
         elif title in ("Returns", "Yields"):
-            parts.append(f"{title}: {' '.join(body.split())}")
-    return "\n\n".join(part for part in parts if part)
+            parts.append(f"{title}: {body}")
+    return " ".join(" ".join(parts).split())
 
 
 def _constants(package: ModuleType) -> dict[str, str]:

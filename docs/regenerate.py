@@ -12,7 +12,10 @@ import inspect
 import io
 import os
 import re
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 from plugin_reference import attributes, plugin_page
 
@@ -25,8 +28,8 @@ from measure.neighbours import commands
 ROOT = Path(__file__).resolve().parents[1]
 HEAD = """# Command line
 
-The help of every command; where `measure` is not on the path, `python -m measure` is the same.
-Written by `python docs/regenerate.py`.
+What `--help` says of every command, written by `python docs/regenerate.py`. Where `measure` is not
+on the path, `python -m measure` is the same.
 
 Exit codes: 0 done; 2 a mistake, which one line on stderr explains; 3 `check`,
 `calibrate` or `accept` found what must not be believed ("wrong"); 1 a defect of ours, with its
@@ -50,6 +53,8 @@ or both in a profile, a TOML file given with `--profile`. The `run.toml` of a ru
 too. A sink is chosen with `--send`; its settings follow a `?` in the address, or are
 given as `--set SINK.NAME=VALUE` ([sending poses](how_to/send_poses.md)).
 """
+SHARED_BY = 4
+"""An option that means the same in so many commands is described once."""
 KINDS = {
     "detector": "Detectors",
     "triangulator": "Triangulators",
@@ -64,27 +69,75 @@ SAME = re.compile(r"<!-- same as: (\S+) -->\n```(\w+)\n(.*?)```\n", re.DOTALL)
 def command_line_page() -> str:
     """The text of `docs/cli.md`."""
     app = build_app()
-    names = [name for name in commands() if name in app]
-    pages = [((), "measure")]
-    for name in names:
-        pages.append(((name,), f"measure {name}"))
-        subcommands = [sub for sub in app[name] if not sub.startswith("-")]
-        pages += [((name, sub), f"measure {name} {sub}") for sub in subcommands]
-    return HEAD + "".join(f"\n## {title}\n\n```text\n{help_of(*t)}```\n" for t, title in pages)
+    names = [(name,) for name in commands() if name in app]
+    subcommands = [(*n, sub) for n in names for sub in app[n[0]] if not sub.startswith("-")]
+    pages = {words: help_of(*words) for words in [*names, *subcommands]}
+    shared = Counter(row for page in pages.values() for row in page.rows)
+    often = [row for row, n in shared.items() if n >= SHARED_BY and row[0].startswith("--")]
+    parts = [HEAD, _overview(help_of()), _bullets(often)]
+    parts += [_command(" ".join(words), page, often) for words, page in pages.items()]
+    return "".join(parts)
 
 
-def help_of(*tokens: str) -> str:
-    """A command's help as an 80-column terminal shows it, without trailing spaces."""
-    out = io.StringIO()
-    before = dict(os.environ)
-    os.environ.update(COLUMNS="80", TERM="dumb", NO_COLOR="1")
+class Help(NamedTuple):
+    """What `--help` prints: how it is called, a sentence, and rows of names and words in boxes."""
+
+    usage: str
+    sentence: str
+    boxes: dict[str, list[tuple[str, str]]]
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Of all boxes."""
+        return [row for rows in self.boxes.values() for row in rows]
+
+
+def help_of(*tokens: str) -> Help:
+    """A command's help, as on a terminal so wide that nothing is folded."""
+    out, before = io.StringIO(), dict(os.environ)
+    os.environ.update(COLUMNS="2000", TERM="dumb", NO_COLOR="1")
     try:
         with contextlib.redirect_stdout(out):
             main([*tokens, "--help"])
     finally:
         os.environ.clear()
         os.environ.update(before)
-    return "".join(f"{line.rstrip()}\n" for line in out.getvalue().strip().splitlines())
+    boxes: dict[str, list[tuple[str, str]]] = {}
+    text, _, rest = out.getvalue().strip().partition("╭")
+    for line in rest.splitlines():
+        if line[:1] in ("─", "╭"):
+            rows = boxes[line.strip("╭╮─ ")] = []
+        elif row := re.match(r"│ (?:\* {2}| {0,3})(\S.*?)(?: {2,}(.*?))? *│$", line):
+            rows.append((row[1], row[2] or ""))
+        elif line.startswith("│"):  # A line of a docstring that goes on
+            rows[-1] = rows[-1][0], f"{rows[-1][1]} {line.strip('│ ')}"
+    usage, sentence = text.removeprefix("Usage: ").strip().split("\n\n", 1)
+    return Help(usage.strip(), " ".join(sentence.split()), boxes)
+
+
+def _overview(page: Help) -> str:
+    """A table of all commands, by group, and what all of them take."""
+    *groups, options = page.boxes
+    rows = [
+        [group if i == 0 else "", f"[`{name}`](#measure-{name})", said]
+        for group in groups
+        for i, (name, said) in enumerate(page.boxes[group])
+    ]
+    head = f"\n## measure\n\n{page.sentence}\n\n{table(['for', 'command', 'what it does'], rows)}"
+    return f"{head}\n{_bullets(page.boxes[options])}\nOptions that several commands share:\n\n"
+
+
+def _command(name: str, page: Help, often: list[tuple[str, str]]) -> str:
+    """How it is called, what only it takes, and what others take, too."""
+    rows = _bullets(row for row in page.rows if row not in often)
+    if also := ", ".join(f"`{row[0].split()[0]}`" for row in page.rows if row in often):
+        rows += f"- [shared](#measure): {also}\n"
+    head = f"\n## measure {name}\n\n`{page.usage}`: {page.sentence}\n"
+    return f"{head}\n{rows}" if rows else head
+
+
+def _bullets(rows: Iterable[tuple[str, str]]) -> str:
+    return "".join(f"- `{name}`: {said}\n" for name, said in rows)
 
 
 def settings_page() -> str:
@@ -92,8 +145,10 @@ def settings_page() -> str:
     parts = [SETTINGS_HEAD, profiles_section()]
     own = [p for p in Registry.discover().loaded if p.distribution.name == "triball"]
     for kind, title in KINDS.items():
-        parts.append(f"\n## {title}\n")
-        parts += [plugin_section(p) for p in sorted(own, key=lambda p: p.name) if p.kind == kind]
+        found = sorted((p for p in own if p.kind == kind), key=lambda p: p.name)
+        head = ["plugin, setting", "default", "unit", "type", "what it does"]
+        rows = [row for item in found for row in plugin_rows(item)]
+        parts.append(f"\n## {title}\n\n{table(head, rows)}")
     return "".join(parts)
 
 
@@ -110,21 +165,16 @@ def profiles_section() -> str:
     return "\n## Profiles\n\n" + table(head, rows)
 
 
-def plugin_section(item: Loaded) -> str:
-    """One plugin: what it does, and its settings."""
-    return section(item.name, item.plugin, describe_settings(item.plugin.Config))
+def plugin_rows(item: Loaded) -> list[list[str]]:
+    """The first sentence of a plugin's docstring, and a row for each of its settings."""
+    words = (inspect.getdoc(item.plugin) or "").partition("\n\n")[0]
+    head = [f"**{item.name}**", "", "", "", f"*{' '.join(words.split())}*"]
+    return [head, *map(_setting_row, describe_settings(item.plugin.Config))]
 
 
-def section(name: str, described: type, settings: list[Setting]) -> str:
-    """A heading, the first sentence of the docstring, and a table."""
-    words = (inspect.getdoc(described) or "").partition("\n\n")[0]
-    rows = [
-        [f"`{s.name}`", f"`{s.default}`", s.unit, f"`{s.type}`".replace("|", "or"), s.description]
-        for s in settings
-    ]
-    head = ["setting", "default", "unit", "type", "what it does"]
-    body = table(head, rows) if rows else "It has no settings.\n"
-    return f"\n### {name}\n\n{' '.join(words.split())}\n\n{body}"
+def _setting_row(s: Setting) -> list[str]:
+    shown = [f"`{s.default}`", s.unit, f"`{s.type}`".replace("|", "or"), s.description]
+    return [f"`{s.name}`", *shown]
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:

@@ -70,7 +70,7 @@ def test_types_in_signatures_are_described_too(generator: ModuleType):
     page = generator.plugin_page()
     signatures = " ".join(re.findall(r"`([^`]*)`", page))
     named = set(re.findall(r"(?<![\w.])[A-Z][a-z]\w*", signatures))
-    described = set(re.findall(r"^### (\w+)", page, re.MULTILINE))
+    described = set(re.findall(r"^(?:### |- `)([A-Z]\w*)", page, re.MULTILINE))
     outside = {name for module in OUTSIDE for name in dir(importlib.import_module(module))}
     outside |= {"BaseModel", "Config", "StrEnum", "ColorSpace", "StateSchema", "Scene"}
     outside |= {"Command", "Format"}  # of what is declared as data
