@@ -58,6 +58,9 @@ python -m benchmarks --frames 8 --jobs 2 --out docs/benchmarks.md
 others by a path tracer that is not part of the program, and appear where they are at hand.
 
 """
+ALL_METHODS = """## All methods
+
+"""
 OFF_AXIS = """## Off the optical axis
 
 How far detected centres lie too far out, in px (median), by the angle between line of sight and
@@ -182,13 +185,16 @@ def _measured(given: argparse.Namespace, folder: Path) -> dict[str, Rows]:
 
 def _sections(given: argparse.Namespace, folder: Path) -> Iterator[str]:
     """The page's sections on what is asked for."""
+    whole: Rows = []
     apart: dict[str, Rows] = {kind: [] for kind in APART}
     for name, rows in _measured(given, folder).items():
         kind = next((kind for kind in APART if name.startswith(kind)), None)
         if kind is None:
-            yield f"## {name}\n\n" + markdown(("method", *FIGURES), rows)
+            whole += [(f"**{name}**" if i == 0 else "", *row) for i, row in enumerate(rows)]
         else:
             apart[kind] += [(name.removeprefix(kind), *row) for row in rows]
+    if whole:
+        yield ALL_METHODS + markdown(("recording", "method", *FIGURES), whole)
     for kind, rows in apart.items():
         if rows:
             more = typical(rows) if len(rows) > 1 else []

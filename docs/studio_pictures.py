@@ -1,7 +1,7 @@
 """Make the pictures of the set-up page: `python -m docs.studio_pictures` (needs chromium).
 
 The page is served cameras of rendered pictures: three balls, a waved board, and markers. With
-`--all FOLDER` every page is drawn into a folder, in all sizes of window, light and dark.
+`--all FOLDER` every page is also drawn into a folder, in all sizes of window, light and dark.
 """
 
 from __future__ import annotations
@@ -111,8 +111,8 @@ def _take(page: Chromium, name: str, folder: Path | None) -> None:
     """In every size of window; the docs show the first, and few of the others."""
     for size, (width, height) in SIZES.items():
         for dark in (False, True):
-            shown = SHOWN.get(name + size, 0 if size else WIDTH_PX)
-            if not folder and (dark or not shown):
+            shown = 0 if dark else SHOWN.get(name + size, 0 if size else WIDTH_PX)
+            if not folder and not shown:
                 continue
             page.resize(width, height, dark)
             page.evaluate("scrollTo(0, 0)")
@@ -120,7 +120,7 @@ def _take(page: Chromium, name: str, folder: Path | None) -> None:
             shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
             if folder:
                 cv2.imwrite(str(folder / f"{name}{size}{'-dark' * dark}.png"), shot)
-            else:
+            if shown:
                 smaller = shown, round(height * shown / width)
                 shot = cv2.resize(shot, smaller, interpolation=cv2.INTER_AREA)
                 options = [cv2.IMWRITE_PNG_COMPRESSION, 9]

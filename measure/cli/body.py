@@ -64,6 +64,6 @@ def _print(found: api.FoundBody, out: Path) -> None:
     console.print_text(f"frame: {found.frame}")
     console.print_text(
         f"wrote {out}: {len(found.body.balls)} balls from {found.frame_sets} frame sets, each "
-        f"coordinate known to {found.body.tolerance_mm:.3f} mm; what is left in the pictures "
+        f"coordinate known to {found.body.tolerance_mm:.3f} mm, reprojection error "
         f"{found.rms_px:.2f} px RMS"
     )

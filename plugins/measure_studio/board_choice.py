@@ -14,7 +14,7 @@ from measure_studio.layout import act, link, tried
 
 _WHY = (
     "The ChArUco board is the fastest and the safest: parts of it count, so that corners of "
-    "pictures are reached, and it is never taken for turned or for its back."
+    "pictures are reached, and it cannot be mistaken for its half turn or its mirror image."
 )
 
 
@@ -64,7 +64,7 @@ def _length(bench: Bench, board: ui.select) -> None:
         except MeasureError:
             squares, square_mm = 0, 0.0
         field.set_visibility(squares > 0)
-        field.props(f'label="{squares} squares as the ruler shows them, mm"')
+        field.props(f'label="{squares} squares by the ruler, mm"')
         field.value = squares * square_mm
         one.text = f"one square: {square_mm:.3f} mm" if squares else ""
 

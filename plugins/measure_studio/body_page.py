@@ -215,8 +215,8 @@ def _judgement(making: _Making) -> str:
     if (found := making.found) is None:
         return ""
     return (
-        f"{found.frame}; each coordinate known to {found.body.tolerance_mm:.3f} mm, what is left "
-        f"in the pictures {found.rms_px:.2f} px RMS; radii as the outlines show them"
+        f"{found.frame}; each coordinate known to {found.body.tolerance_mm:.3f} mm, "
+        f"reprojection error {found.rms_px:.2f} px RMS; radii from the outlines"
     )
 
 
