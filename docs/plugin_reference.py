@@ -35,6 +35,8 @@ and `Bytes` (of `measure.arrays`) are numpy arrays of float64, int64, bool and u
 errors are those of `measure.errors`; `StateSchema` is that of `measure.robots`.
 """
 SECTIONS = ("Attributes", "Args", "Returns", "Yields", "Raises", "Example", "Examples")
+MOST_ON_A_LINE = 3
+"""A record of no more fields has no section of its own."""
 _CONSTRUCTOR = "Constructor."
 
 
@@ -116,18 +118,32 @@ def _defines_class(name: str, value: object) -> bool:
 
 
 def _package(package: ModuleType) -> str:
-    """Its functions and constants in one list, then each class."""
+    """Its functions, constants and small records in one list, then each other class."""
     names = sorted(getattr(package, "__all__", ()), key=str.casefold)
-    classes = [name for name in names if _defines_class(name, getattr(package, name))]
+    classes = [name for name in names if _has_a_section(package, name)]
     others = [_other(package, name) for name in names if name not in classes]
     parts = [f"\n## {package.__name__}\n\n{inspect.getdoc(package)}\n"]
     parts += ["\n", *others] if others else []
     return "".join([*parts, *(_class(package, name) for name in classes)])
 
 
+def _has_a_section(package: ModuleType, name: str) -> bool:
+    """Whether it is a class with methods, or with more fields than fit on a line."""
+    value = getattr(package, name)
+    if not _defines_class(name, value):
+        return False
+    found = len(list(members(value)))
+    return issubclass(value, enum.Enum) or found > min(len(_fields(value)), MOST_ON_A_LINE)
+
+
 def _other(package: ModuleType, name: str) -> str:
     value, text = getattr(package, name), description(package, name)
-    return _item(_call(name, value) if inspect.isroutine(value) else name, text)
+    if not _defines_class(name, value):
+        return _item(_call(name, value) if inspect.isroutine(value) else name, text)
+    sections = _sections(text)
+    sections.pop("Attributes", None)
+    fields = [f"`{declared}`, {said.rstrip('.')}" for _, declared, said in members(value)]
+    return f"- `{name}`: {_joined(sections)}{' ' + '; '.join(fields) + '.' if fields else ''}\n"
 
 
 def _class(package: ModuleType, name: str) -> str:

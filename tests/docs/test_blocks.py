@@ -66,6 +66,12 @@ def test_links_lead_somewhere(page: Path):
 
 
 @by_page
+def test_files_that_are_named_exist(page: Path):
+    named = re.findall(r"`((?:tests|benchmarks|measure|plugins)/[\w/.]+)`", page.read_text("utf-8"))
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+@by_page
 def test_commands_that_are_only_shown_exist(page: Path):
     """In text blocks and in running text."""
     text = page.read_text(encoding="utf-8")
