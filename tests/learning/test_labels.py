@@ -85,3 +85,16 @@ def test_kinematics_that_contradict_the_log_are_named(pair: tuple[PoseTrack, Rob
         states = RobotLog(schema(other), log.times_s, log.states)
         with pytest.raises(EstimatorError, match=rf"the kinematics put the tip .*{said}"):
             assemble([(track, states)])
+
+
+def test_a_scale_and_a_jump_of_the_cameras_are_named(pair: tuple[PoseTrack, RobotLog]) -> None:
+    """Too small for a wrong frame, and still no errors of the robot's."""
+    track, log = pair
+    places, middle = track.positions_mm, track.positions_mm.mean(axis=0)
+    late = track.times_s > track.times_s[0] + 22.0
+    for moved, said in (
+        (middle + 1.01 * (places - middle), r"are not all the robot's .* 1\.01\d\d times as"),
+        (places + np.outer(late, [3.0, 4.0, 0.0]), r"base, moved by [45]\.\d mm .*after apart"),
+    ):
+        with pytest.raises(EstimatorError, match=said):
+            assemble([(replace(track, positions_mm=moved), log)])

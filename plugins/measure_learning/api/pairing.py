@@ -143,7 +143,7 @@ def _labelled(tables: Sequence[Path], schema: StateSchema, as_it_is: bool) -> Da
     data = join([files.read_labelled(path, schema) for path in tables])
     for name, rows in data.runs():
         used = np.flatnonzero(data.usable[rows]) + rows.start
-        doubts = label_doubts(schema, data.states[used], data.errors_mm[used], None)
+        doubts = label_doubts(schema, data.states[used], data.errors_mm[used])
         check_labels(name, doubts, as_it_is=as_it_is)
     return data
 

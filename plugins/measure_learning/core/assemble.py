@@ -200,7 +200,9 @@ def _assemble_one(
     check_frames(track.name, positions[judged], reported[judged])
     given = clock is None and bool(np.all(np.diff(times) > 0))
     velocity = np.gradient(reported, times, axis=0)[judged] if given else None
-    doubts = label_doubts(log.schema, states[judged], errors[judged], velocity)
+    doubts = label_doubts(
+        log.schema, states[judged], errors[judged], velocity, times[judged] - offset
+    )
     check_labels(track.name, doubts, as_it_is=settings.as_it_is)
     kept = marks.kept
     trajectory, names = _cut(track.name, times[kept], settings.cut_s)

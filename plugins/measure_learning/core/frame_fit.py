@@ -371,8 +371,7 @@ def _turn_starts(hand: Floats, pose: Floats) -> list[tuple[Floats, Floats, float
 
     So they do if all are about one axis, or if there are none.
     """
-    # With vec by columns, vec(R_base) = (R_hand x R_pose) vec(R_flange).
-    K = np.einsum("nab,ncd->acbd", hand, pose).reshape(9, 9) / len(hand)
+    K = _turn_products(hand, pose)
     u, sizes, v = np.linalg.svd(K)
     pairs = [(_nearest_rotation(u[:, 0]), _nearest_rotation(v[0]))]
     if sizes[1] > _ALIKE * sizes[0]:
@@ -387,6 +386,17 @@ def _turn_starts(hand: Floats, pose: Floats) -> list[tuple[Floats, Floats, float
         out.append((base, flange, float(np.sqrt(max(0.0, 3 - agreed)))))
     best = min(found[2] for found in out)
     return [found for found in out if found[2] < best + _TURN_TOLERANCE_RAD]
+
+
+def _turn_products(hand: Floats, pose: Floats) -> Floats:
+    """With vec by columns, vec(R_base) = (R_hand x R_pose) vec(R_flange): their mean (9, 9)."""
+    return np.asarray(np.einsum("nab,ncd->acbd", hand, pose).reshape(9, 9) / len(hand))
+
+
+def turns_agree(seen: Sightings) -> float:
+    """1 where some base and flange bring all rotations together, less where none does."""
+    K = _turn_products(seen.hand().rotation, seen.poses.world_from_body.rotation)
+    return float(np.linalg.norm(K, 2))
 
 
 def _nearest_rotation(columns: Floats) -> Floats:

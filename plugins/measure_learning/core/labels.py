@@ -14,6 +14,7 @@ from measure.geometry import RigidTransform, align_points, skew
 from measure.host import Dataset
 from measure.robots import SerialChain, StateSchema
 from measure_learning.core.frame_fit import align_turns
+from measure_learning.core.slips import Misfit, changed
 
 _MIN_SPREAD_MM = 1.0  # Spread of the positions below which their unit is not checked
 _MIN_SPREAD_SHARE = 1e-4
@@ -124,6 +125,8 @@ _log = logging.getLogger(__name__)
 
 _LEAST_ROWS = 20  # Fewer do not tell what kinematics are off by
 _LEAST_RMS_MM = 3.0  # Of labels, from which they are called something else than errors
+_LEAST_CHANGED, _LEAST_CHANGED_MM = 60, 0.3
+"""Labels, and their RMS, from which a scale or a jump is looked for in them."""
 _FAR_MM = 100.0  # RMS of labels by which no robot errs
 _MOST = 0.5  # Share of their RMS that may be left where most of them is explained
 _OWN_TURN_RAD, _OWN_SLIDE_MM, _OWN_SHIFT_MM = np.deg2rad(5.0), 10.0, 20.0
@@ -210,11 +213,16 @@ def check_labels(name: str, doubts: Sequence[str], *, as_it_is: bool) -> None:
 
 
 def label_doubts(
-    schema: StateSchema, states: Floats, errors_mm: Floats, velocity_mm_s: Floats | None
+    schema: StateSchema,
+    states: Floats,
+    errors_mm: Floats,
+    velocity_mm_s: Floats | None = None,
+    times_s: Floats | None = None,
 ) -> tuple[str, ...]:
     """Why labels (n, 3) of states (n, features) may be no errors of the robot, and what to do.
 
-    With the reported velocity (n, 3) if the clock is in question.
+    With the reported velocity (n, 3) if the clock is in question, and with the cameras' times (n,)
+    of one recording in which something may have moved.
     """
     joints, reported = schema.joint_positions(states), schema.position_mm(states)
     measured, chain = reported + errors_mm, schema.chain
@@ -223,7 +231,30 @@ def label_doubts(
         (chain_doubt(chain, joints, reported), "describe the robot as it is"),
         (not_the_robot(pairs), _CURE),
     )
-    return tuple(f"{doubt}: {cure}" for doubt, cure in causes if doubt is not None)
+    doubts = [f"{doubt}: {cure}" for doubt, cure in causes if doubt is not None]
+    if not doubts and (cause := _changed(pairs, times_s)) is not None:
+        doubts.append(cause)
+    return tuple(doubts)
+
+
+def _changed(pairs: Paired, times_s: Floats | None) -> str | None:
+    """A scale of the cameras, or a jump, that explains most of what no frame does; or None."""
+    errors, places, n = pairs.measured_mm - pairs.reported_mm, pairs.reported_mm, len(pairs.joints)
+    size = rms_length(errors)
+    if n < _LEAST_CHANGED or size < _LEAST_CHANGED_MM or not determine_frame(places):
+        return None
+    slopes = np.zeros((n, 3, 6))
+    slopes[:, :, :3] = np.eye(3)
+    slopes[:, :, 3:] = -skew(places - places.mean(axis=0))
+    turns = None if pairs.chain is None else pairs.chain.pose(pairs.joints).rotation
+    recording = np.zeros(n, dtype=np.int64)
+    misfit = Misfit(
+        errors, slopes, np.zeros(6), np.zeros((n, 3, 3)), places, recording, times_s, turns
+    )
+    own = np.inf if pairs.chain is None else _own_left_mm(pairs, pairs.chain)
+    if (cause := changed(misfit, own)) is None:
+        return None
+    return f"labels of {size:.2f} mm RMS are not all the robot's errors: {cause}"
 
 
 def _words(name: str, cause: _Doubt) -> str:
@@ -271,21 +302,25 @@ def _explain(pairs: Paired, columns: list[int]) -> _Doubt:
 
 def _own(pairs: Paired, cause: _Doubt) -> bool:
     """Whether joints homed wrongly, and a wrist's gains, explain as much: a robot's own errors."""
-    from scipy.optimize import lsq_linear  # slow to load
-
-    errors = pairs.measured_mm - pairs.reported_mm
-    if pairs.chain is None:
+    if (chain := pairs.chain) is None:
         middle = pairs.reported_mm.mean(axis=0)
         shift = np.linalg.norm(cause.frame.apply(middle) - middle)
         turned = np.linalg.norm(cause.frame.rotvec) > _OWN_TURN_RAD
         return not (turned or shift > _OWN_SHIFT_MM)
-    slopes, wrist = pairs.chain.jacobian(pairs.joints)[:, :3], list(pairs.coupled)
-    most = np.array([_OWN_SLIDE_MM if j.prismatic else _OWN_TURN_RAD for j in pairs.chain.joints])
+    return _own_left_mm(pairs, chain) < max(_OWN_RATIO * cause.left_mm, _LEAST_RMS_MM)
+
+
+def _own_left_mm(pairs: Paired, chain: SerialChain) -> float:
+    """RMS of what joints homed wrongly, and a wrist's gains, leave of the labels."""
+    from scipy.optimize import lsq_linear  # slow to load
+
+    errors, wrist = pairs.measured_mm - pairs.reported_mm, list(pairs.coupled)
+    slopes = chain.jacobian(pairs.joints)[:, :3]
+    most = np.array([_OWN_SLIDE_MM if j.prismatic else _OWN_TURN_RAD for j in chain.joints])
     gains = slopes[:, :, wrist] * (_OWN_GAIN * pairs.joints[:, None, wrist])
     slopes = np.concatenate([slopes * most, gains], axis=2)
     found = lsq_linear(slopes.reshape(errors.size, -1), errors.ravel(), (-1, 1))
-    left = float(np.sqrt(2 * found.cost / len(errors)))
-    return left < max(_OWN_RATIO * cause.left_mm, _LEAST_RMS_MM)
+    return float(np.sqrt(2 * found.cost / len(errors)))
 
 
 def chain_doubt(chain: SerialChain | None, joints: Floats, reported_mm: Floats) -> str | None:

@@ -19,7 +19,7 @@ from measure_learning.core.judged_frames import judgement
 from measure_learning.core.labels import check_turns
 from measure_learning.core.sightings import LoggedTrack as LoggedTrack
 from measure_learning.core.sightings import clock_of, moving, own_delays_s, rough_clock_of
-from measure_learning.core.slips import changed, explain
+from measure_learning.core.slips import Misfit, changed, explain
 from measure_learning.core.stops import LEAST_STOPS, Stops, at_rest, is_sparse, stop_sightings
 from measure_learning.robots.tool_poses import ToolPoses
 
@@ -259,7 +259,7 @@ def _refuse_slips(
                 "--robot the right one, and is this the log of this recording?"
             )
     seen = seen.take(fit.kept)
-    if (cause := changed(alone, seen)) is not None:
+    if (cause := changed(Misfit.of(alone, seen))) is not None:
         raise EstimatorError(cause)
     if schema.chain and options.kinematics:
         _refuse_unlike(fit, schema.chain)

@@ -7,13 +7,14 @@ that was pushed) is one more unknown of the fit.
 
 from __future__ import annotations
 
+import heapq
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats, rms_length
+from measure.arrays import Floats, Ints, rms_length
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
 from measure.geometry.covariance import inverted
@@ -27,10 +28,11 @@ from measure_learning.core.frame_fit import (
     fit_frames,
     precision,
     quick_miss,
+    turns_agree,
 )
 
 _COMPARED, _FITTED = 60, 120  # poses by which slips are ranked, and the best of them fitted
-_FINALISTS = 4
+_LIKELY, _FINALISTS = 60, 4  # slips ranked by all, after the rotations alone; and those fitted
 _LEVER_MM = 100.0  # a turn counts as what it moves at this distance
 _BETTER = 3.0  # times less must be left once a slip is undone
 _MOST_LEFT = 0.1  # share of the motion that may be left then
@@ -59,9 +61,9 @@ def explain(seen: Sightings, joint_names: Sequence[str], eye_in_hand: bool = Fal
     if seen.chain is None:
         return None
     few = seen.take(_some(len(seen.poses), _COMPARED))
-    ranked = sorted(
-        _slips(few, joint_names, eye_in_hand), key=lambda slip: quick_miss(slip.undone, _LEVER_MM)
-    )
+    every = _slips(few, joint_names, eye_in_hand)
+    likely = heapq.nlargest(_LIKELY, every, key=lambda slip: turns_agree(slip.undone))
+    ranked = sorted(likely, key=lambda slip: quick_miss(slip.undone, _LEVER_MM))
     wanted = {slip.said for slip in ranked[:_FINALISTS]}
     more = seen.take(_some(len(seen.poses), _FITTED))
     slips = [slip for slip in _slips(more, joint_names, eye_in_hand) if slip.said in wanted]
@@ -167,20 +169,62 @@ def _with_joints(seen: Sightings, chain: SerialChain, order: list[int], signs: F
     )
 
 
-def changed(fit: FrameFit, seen: Sightings) -> str | None:
-    """A scale of the cameras, or a jump of the world or of the body, that explains what is left."""
-    near = LinearModel.of(fit, seen)
-    size, before = near.residuals.shape[1], _size_mm(near.residuals)
-    places = seen.poses.world_from_body.translation
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """What frames leave of n poses or positions, and what could make it."""
+
+    residuals: Floats  # (n, m) mm, and rad where there are rotations
+    slopes: Floats  # (n, m, p) of what is fitted anew: frames, clocks
+    known: Floats  # (p,) inverse variances of these beforehand
+    covariances: Floats  # (n, m, m) as measured
+    places_mm: Floats  # (n, 3)
+    recording: Ints  # (n,) from 0 on
+    times_s: Floats | None  # (n,) None where no jump in time is looked for
+    by_tool: Floats | None = None  # (n, m, k) by the body's place on the tool
+
+    @classmethod
+    def of(cls, fit: FrameFit, seen: Sightings) -> Misfit:
+        """Of a fit of base, tool and clocks."""
+        near, free = LinearModel.of(fit, seen), FRAMES + len(seen.shared)
+        return cls(
+            near.residuals,
+            near.slopes[:, :, :free],
+            precision(seen, fit.link_sd)[:free],
+            near.covariances,
+            seen.poses.world_from_body.translation,
+            seen.recording,
+            None if seen.apart else seen.poses.times_s,
+            None if seen.chain is None else near.slopes[:, :, 6:FRAMES],
+        )
+
+    def left_with(self, extra: Floats) -> tuple[float, Floats]:
+        """RMS in mm that is left with more unknowns, of slopes (n, m, k); their values (k,)."""
+        few = _some(len(self.residuals), _WEIGHED)
+        slopes = np.concatenate([self.slopes[few], extra[few]], axis=2)
+        r = self.residuals[few]
+        weights = np.linalg.inv(self.covariances[few].mean(axis=0) + r.T @ r / len(r))
+        N = np.einsum("nap,ab,nbq->pq", slopes, weights, slopes, optimize=True)
+        g = np.einsum("nap,ab,nb->p", slopes, weights, r, optimize=True)
+        known = np.concatenate([self.known, np.zeros(extra.shape[2])])
+        x = posterior_covariance(N, known) @ g
+        return _size_mm(r - slopes @ x), x[len(self.known) :]
+
+
+def changed(misfit: Misfit, own_mm: float = np.inf) -> str | None:
+    """A scale of the cameras, or a jump of world or body, that explains what is left; or None.
+
+    It must explain clearly more than the robot's own errors, where these leave `own_mm`.
+    """
+    places, size = misfit.places_mm, misfit.residuals.shape[1]
     by_scale = np.zeros((len(places), size, 1))
     by_scale[:, :3, 0] = places - places.mean(axis=0)
-    found = [(*_left_with(near, by_scale, fit, seen), "", 0.0)]
-    if not seen.apart:
-        found += _jumps(near, fit, seen)
+    found = [(*misfit.left_with(by_scale), "", 0.0), *_jumps(misfit)]
+    before = misfit.left_with(by_scale[:, :, :0])[0]
     left, x, what, at_s = min(found, key=lambda one: one[0])
-    if not left < _EXPLAINED * before:
+    if not left < _EXPLAINED * min(before, own_mm):
         return None
-    words = f"{left:.2f} mm are left then, {before:.2f} mm as it is (turns at {_LEVER_MM:g} mm)"
+    turns = f" (turns at {_LEVER_MM:g} mm)" if size > 3 else ""
+    words = f"{left:.2f} mm are left then, {before:.2f} mm as it is{turns}"
     if not what:
         if not _LEAST_SCALE < abs(x[0]) < _MOST_SCALE:
             return None
@@ -198,40 +242,28 @@ def changed(fit: FrameFit, seen: Sightings) -> str | None:
     )
 
 
-def _jumps(
-    near: LinearModel, fit: FrameFit, seen: Sightings
-) -> Iterator[tuple[float, Floats, str, float]]:
+def _jumps(misfit: Misfit) -> Iterator[tuple[float, Floats, str, float]]:
     """What jumps at several times leave, with their sizes."""
-    n, size = len(seen.poses), near.residuals.shape[1]
-    places = seen.poses.world_from_body.translation
+    if misfit.times_s is None:
+        return
+    n, size = misfit.residuals.shape
     by_world = np.zeros((n, size, 6))
     by_world[:] = np.eye(6)[:size]
-    by_world[:, :3, 3:] = -skew(places - places.mean(axis=0))
-    by_tool = near.slopes[:, :, 6:FRAMES]
+    by_world[:, :3, 3:] = -skew(misfit.places_mm - misfit.places_mm.mean(axis=0))
     whats = [("the cameras' world, or the robot's base,", by_world)]
-    if seen.chain is not None:
-        whats.append(("the body on the tool", by_tool))
-    for recording in range(len(seen.shared)):
-        rows = np.flatnonzero(seen.recording == recording)
-        times = seen.poses.times_s[rows]
-        shares = np.linspace(_EDGE, 1 - _EDGE, _CUTS if len(rows) else 0)
-        cuts = np.quantile(times, shares).tolist() if len(rows) else list[float]()
+    if misfit.by_tool is not None:
+        whats.append(("the body on the tool", misfit.by_tool))
+    for recording in np.unique(misfit.recording):
+        rows = misfit.recording == recording
+        cuts = np.quantile(misfit.times_s[rows], np.linspace(_EDGE, 1 - _EDGE, _CUTS)).tolist()
         for (what, slopes), cut in itertools.product(whats, cuts):
-            late = (seen.recording == recording) & (seen.poses.times_s >= cut)
-            yield *_left_with(near, slopes * late[:, None, None], fit, seen), what, float(cut)
+            late = rows & (misfit.times_s >= cut)
+            if not _overlap(misfit.places_mm[rows & ~late], misfit.places_mm[late]):
+                continue
+            yield *misfit.left_with(slopes * late[:, None, None]), what, float(cut)
 
 
-def _left_with(
-    near: LinearModel, extra: Floats, fit: FrameFit, seen: Sightings
-) -> tuple[float, Floats]:
-    """RMS in mm that is left with more unknowns, of slopes (n, m, k), and their values (k,)."""
-    few = _some(len(near.residuals), _WEIGHED)
-    free = FRAMES + len(seen.shared)
-    slopes = np.concatenate([near.slopes[few, :, :free], extra[few]], axis=2)
-    r = near.residuals[few]
-    weights = np.linalg.inv(near.covariances[few].mean(axis=0) + r.T @ r / len(r))
-    N = np.einsum("nap,ab,nbq->pq", slopes, weights, slopes, optimize=True)
-    g = np.einsum("nap,ab,nb->p", slopes, weights, r, optimize=True)
-    known = np.concatenate([precision(seen, fit.link_sd)[:free], np.zeros(extra.shape[2])])
-    x = posterior_covariance(N, known) @ g
-    return _size_mm(r - slopes @ x), x[free:]
+def _overlap(one: Floats, other: Floats) -> bool:
+    """Whether places (n, 3) are among others (m, 3): else errors of the place look like a jump."""
+    apart = float(np.linalg.norm(one.mean(axis=0) - other.mean(axis=0)))
+    return apart < float(np.linalg.norm(one.std(axis=0)) + np.linalg.norm(other.std(axis=0))) / 2
