@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class GpSettings(host.Settings):
 
 
 @dataclass(frozen=True)
-class _Kernel:
+class Kernel:
     """A squared exponential of the inputs over their lengths, and a linear part beside it."""
 
     joints: float  # length over the SD of a joint (or of the position)
@@ -46,7 +46,7 @@ class _Kernel:
         """What the inputs (joints + plays) are multiplied by."""
         return 1.0 / np.repeat([self.joints, self.plays], [joints, plays])
 
-    def neighbours(self) -> list[_Kernel]:
+    def neighbours(self) -> list[Kernel]:
         """A step away in one parameter."""
         return [
             replace(self, **{name: getattr(self, name) * factor})
@@ -78,6 +78,13 @@ class GpEstimator(WithinTrajectoryEstimator):
     name = "gp"
     Config = GpSettings
     config: GpSettings
+    known: Kernel | None = None  # the kernel, where a fit to more has chosen it
+    kernel: Kernel  # once fitted
+
+    def _twin(self) -> Self:
+        twin = super()._twin()
+        twin.known = self.kernel
+        return twin
 
     def learn(
         self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
@@ -94,16 +101,16 @@ class GpEstimator(WithinTrajectoryEstimator):
         whole = _Rows(self._inputs(data), data.errors_mm - self._mean, slopes)
         dice = np.random.default_rng(seed)
         few = whole.some(dice.choice(usable, min(c.tuning_points, len(usable)), replace=False))
-        self._kernel = self._chosen(few, validation, report)
+        self.kernel = self.known or self._chosen(few, validation, report)
         rows = dice.choice(usable, min(2 * c.points, len(usable)), replace=False)
-        self._solve(few)
+        self._solve(few, self.kernel)
         picked = whole.some(rows)
         away = np.linalg.norm(picked.labels - self._tips(picked), axis=1)
         clean = rows[away < c.cleaning_sds * MAD_TO_SD * np.median(away)]
-        self._solve(whole.some(clean[: c.points]))
+        self._finish(whole.some(clean[: c.points]), self.kernel)
         report(1.0, "fitted")
 
-    def _chosen(self, few: _Rows, validation: host.Dataset, report: host.Report) -> _Kernel:
+    def _chosen(self, few: _Rows, validation: host.Dataset, report: host.Report) -> Kernel:
         """The kernel of the least squares on validation trajectories, by steps in each parameter.
 
         The likelihood of the training rows would ask for shorter lengths: neighbours are alike.
@@ -113,17 +120,16 @@ class GpEstimator(WithinTrajectoryEstimator):
         slopes = tip_slopes(validation)[used] * self._units
         labels = validation.errors_mm[used] - self._mean
         judge = _Rows(self._inputs(validation)[used], labels, slopes)
-        scores = dict[_Kernel, float]()
+        scores = dict[Kernel, float]()
 
-        def score(kernel: _Kernel) -> float:
+        def score(kernel: Kernel) -> float:
             if kernel not in scores:
-                self._kernel = kernel
-                self._solve(few)
+                self._solve(few, kernel)
                 scores[kernel] = float(((judge.labels - self._tips(judge)) ** 2).sum())
                 report(min(0.5, 0.5 * len(scores) / _MOST_TRIALS), "choosing the kernel")
             return scores[kernel]
 
-        best = _Kernel(2.0, 6.0, 0.3)  # what the arms measured so far chose
+        best = Kernel(2.0, 6.0, 0.3)  # what the arms measured so far chose
         while len(scores) < _MOST_TRIALS:
             if (other := min((best, *best.neighbours()), key=score)) == best:
                 break
@@ -147,26 +153,31 @@ class GpEstimator(WithinTrajectoryEstimator):
         outputs = self._near(rows.inputs) @ self._weights + rows.inputs @ self._linear
         return np.einsum("nij,nj->ni", rows.slopes, outputs)
 
-    def _solve(self, rows: _Rows) -> None:
-        """In float32, as the graph computes."""
-        from scipy.linalg import cho_factor, cho_solve, solve_triangular  # slow to load
+    def _solve(self, rows: _Rows, kernel: Kernel) -> None:
+        """The mean, in float32, as the graph computes."""
+        from scipy.linalg import cho_factor, cho_solve  # slow to load
 
         self._points = rows.inputs
-        self._stretch = self._kernel.stretch(self._reading.shape[1], self._bank.size)
+        self._stretch = kernel.stretch(self._reading.shape[1], self._bank.size)
         near, linear = self._near(rows.inputs), rows.inputs.astype(np.float32)
         slopes = rows.slopes.astype(np.float32)
-        gram = _gram(near + _LINEAR * linear @ linear.T, slopes, self._kernel.noise)
+        gram = _gram(near + _LINEAR * linear @ linear.T, slopes, kernel.noise)
         factor = cho_factor(gram, lower=True, overwrite_a=True)
         pulled = cho_solve(factor, rows.labels.astype(np.float32).ravel()).reshape(-1, 3)
         self._weights = np.einsum("nij,ni->nj", slopes, pulled).astype(np.float64)
         self._linear = _LINEAR * rows.inputs.T @ self._weights
+
+    def _finish(self, rows: _Rows, kernel: Kernel) -> None:
+        """The mean, and what is unknown of the tip error's mean axis, as a process of its own."""
+        from scipy.linalg import solve_triangular  # slow to load
+
+        self._solve(rows, kernel)
         left = rows.labels - self._tips(rows)
-        # What is unknown of the tip error's mean axis, as if it were a process of its own.
-        signal = float((left**2).mean()) / self._kernel.noise
-        self._variance = signal * float((slopes**2).sum(axis=2).mean())
-        few = near[: self.config.tuning_points, : self.config.tuning_points]
-        alone = few * self._variance + signal * self._kernel.noise * np.eye(len(few))
-        inverse = solve_triangular(np.linalg.cholesky(alone), np.eye(len(few)), lower=True)
+        signal = float((left**2).mean()) / kernel.noise
+        self._variance = signal * float((rows.slopes**2).sum(axis=2).mean())
+        near = self._near(rows.inputs[: self.config.tuning_points])[:, : self.config.tuning_points]
+        alone = near * self._variance + signal * kernel.noise * np.eye(len(near))
+        inverse = solve_triangular(np.linalg.cholesky(alone), np.eye(len(near)), lower=True)
         self._whitener = self._variance * inverse.T
 
     def compute(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from measure_learning.estimators._training import (
     train_perceptrons,
 )
 from measure_learning.estimators._training_set import OutputUnits, TrainingSet
-from measure_learning.estimators.gp import GpEstimator, GpSettings
+from measure_learning.estimators.gp import GpEstimator, GpSettings, Kernel
 
 N = TypeVar("N", _nets.Perceptrons, _nets.Grus)
 
@@ -37,11 +37,11 @@ class StreamSettings(host.Settings):
         128, "Units in each of the two layers of a perceptron.", ge=4
     )
     perceptron_epochs: int = host.setting(
-        50, "Passes over the data in the training of the perceptrons.", ge=1
+        40, "Passes over the data in the training of the perceptrons.", ge=1
     )
     grus: int = host.setting(3, "Number of GRUs in the ensemble.", ge=1)
     gru_units: int = host.setting(96, "Hidden units of a GRU.", ge=4)
-    gru_epochs: int = host.setting(90, "Passes over the data in the training of a GRU.", ge=1)
+    gru_epochs: int = host.setting(70, "Passes over the data in the training of a GRU.", ge=1)
     window: int = host.setting(128, "Steps in a training window of a GRU.", ge=8)
     play_widths: int = host.setting(8, "Number of play operators per joint combination.", ge=1)
     narrowest: float = host.setting(
@@ -71,6 +71,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
     name = "stream"
     Config = StreamSettings
     config: StreamSettings
+    _known: Kernel | None = None  # of the process, where a fit to more has chosen it
 
     def draft(self) -> host.Settings:
         """Fewer nets, for half as long: what recordings left out show changes by a few percent."""
@@ -82,6 +83,11 @@ class StreamEstimator(WithinTrajectoryEstimator):
             "points": c.points // 2,
         }
         return c.model_copy(update=fewer)
+
+    def _twin(self) -> Self:
+        twin = super()._twin()
+        twin._known = self._process.kernel if self._process else None  # noqa: SLF001 - its class
+        return twin
 
     def learn(
         self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
@@ -112,6 +118,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         if not (points := self.config.points):
             return None
         process = GpEstimator(GpSettings(points=points, play_widths=self.config.play_widths))
+        process.known = self._known
         process.learn(data, validation, seed=seed, report=host.quiet)
         self._process, said = process, []
         for self._share in (0.0, 1.0):
