@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from measure import api
+from measure_studio import api as studio_api
 from tests.camera_server import ServedCamera, serving
 from tests.simulated.sessions import still_session
 
@@ -36,7 +37,9 @@ def serve(session: Path, rate_hz: float, told: Connection) -> None:
         told.recv()
 
 
-def draw(preview: api.Preview, begins_s: float, stop: threading.Event, cpu_s: list[float]) -> None:
+def draw(
+    preview: studio_api.Preview, begins_s: float, stop: threading.Event, cpu_s: list[float]
+) -> None:
     """Draw previews from a time on, and note what each cost."""
     due_s = begins_s
     while not stop.wait(max(due_s - time.monotonic(), 0.0)):
@@ -65,12 +68,12 @@ def main() -> None:
 
 def measure(session: Path, addresses: dict[str, str], seconds: float) -> None:
     """Measure live, first without previews and then with them."""
-    preview, stop, drawing = api.Preview(), threading.Event(), threading.Event()
+    preview, stop, drawing = studio_api.Preview(), threading.Event(), threading.Event()
     begun: list[float] = []
     cpu_s: list[float] = []
     sets = [0, 0]
 
-    def hear(_: api.LiveState) -> None:
+    def hear(_: studio_api.LiveState) -> None:
         if not begun:
             begun.append(time.monotonic())
             args = preview, begun[0] + seconds / 2, drawing, cpu_s
@@ -81,12 +84,14 @@ def measure(session: Path, addresses: dict[str, str], seconds: float) -> None:
         else:
             sets[ran_s >= seconds / 2] += 1
 
-    options = api.LiveOptions(stop=stop, on_image=preview.add)
-    cameras = api.parse_cameras([f"{name}={address}" for name, address in addresses.items()])
+    options = studio_api.LiveOptions(stop=stop, on_image=preview.add)
+    cameras = studio_api.parse_cameras([f"{name}={address}" for name, address in addresses.items()])
     bodies = [session / "body.toml"]
     profile, registry = api.load_profile(), api.Registry.discover()
     out = session.parent / "run"
-    api.live(cameras, out, session / "calibration.toml", bodies, profile, registry, options, hear)
+    studio_api.live(
+        cameras, out, session / "calibration.toml", bodies, profile, registry, options, hear
+    )
     drawing.set()
     half_s = seconds / 2
     print(f"{len(cpu_s) / half_s:.1f} previews a second: {sum(cpu_s) / half_s:.3f} of one core")

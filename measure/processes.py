@@ -214,3 +214,36 @@ def connected(address: str, option: str) -> Iterator[tuple[Any, Any]]:
         yield client, distributed
     finally:
         client.close()
+
+
+@contextmanager
+def until_stopped(stop: threading.Event | None = None) -> Iterator[threading.Event]:
+    """Turn the first interrupt (Ctrl-C) or termination of this process into an event.
+
+    A second Ctrl-C ends the process as usual. Outside the main thread, the only one that receives
+    signals, the event is not set by it.
+
+    Args:
+        stop: the event; a new one if omitted.
+
+    Yields:
+        Set once the work is to stop.
+    """
+    stop = stop or threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def on_signal(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+        stop.set()
+        # A second termination means no more than the first: `timeout` sends two.
+        signal.signal(signal.SIGINT, before[signal.SIGINT])
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

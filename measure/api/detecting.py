@@ -105,11 +105,11 @@ def detect(
         camera = cameras.of(width, height, path)
         image = model.Image(camera.name, index, 0.0, partial(np.asarray, pixels))
         (camera,) = with_lateral_color([camera], [model.FrameSet(index, 0.0, {camera.name: image})])
-        look = partial(_look, image, body, build, _stored(asked, turn))
+        seen_by = partial(look, image, body, build, _stored(asked, turn))
         focal_from = cameras.focal_from
         if focal_from is FocalFrom.USUAL:
-            camera, focal_from = camera_by_balls(camera, tags.focal_35mm, look)
-        found = sorted(look(camera), key=lambda d: -d.score)
+            camera, focal_from = camera_by_balls(camera, tags.focal_35mm, seen_by)
+        found = sorted(seen_by(camera), key=lambda d: -d.score)
         shown = tuple(_shown(d, turn) for d in found)
         outlines = tuple(turn.points_shown(_outline(d, body, camera)) for d in found)
         focal_px = camera.intrinsics.focal_px
@@ -122,7 +122,7 @@ Places = Mapping[str, tuple[float, float, float]]
 """Where balls are expected: centre u, v and radius in px."""
 
 
-def _look(
+def look(
     image: model.Image,
     body: model.Body,
     build: Callable[[Sequence[model.Camera]], Mapping[str, Detector]],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import islice
@@ -15,8 +15,8 @@ from measure.api.profiles import build_pipeline
 from measure.api.warming_up import warm_pipeline
 from measure.host import Detector, Registry
 from measure.measuring import Measurement, Pipeline, Profile, measure_together
-from measure.measuring.burn_in import calibrated
-from measure.model import Body, Detection, FrameSet
+from measure.measuring.burn_in import calibrated, enter_realtime
+from measure.model import Body, Camera, Detection, FrameSet
 from measure.session import Session
 
 RUN_UP_S = 3.0
@@ -92,6 +92,24 @@ def calibrated_pipeline(
     pipeline = warm_pipeline(profile, registry, body or session.body, session.cameras)
     build = partial(build_pipeline, profile, registry)
     return calibrated(pipeline, build, partial(session.frame_sets, start=start))
+
+
+def live_pipelines(
+    warm: Sequence[Pipeline],
+    build: Callable[[Body, Sequence[Camera]], Pipeline],
+    frame_sets: Callable[[], Iterator[FrameSet]],
+) -> list[Pipeline]:
+    """Pipelines whose detectors have calibrated themselves on what comes now, and keep up with it.
+
+    Args:
+        warm: one for each body.
+        build: builds such a one anew.
+        frame_sets: gives those that come from the call on.
+    """
+    pipelines = [calibrated(one, build, frame_sets) for one in warm]
+    for one in pipelines:
+        enter_realtime(one.stages.detectors)
+    return pipelines
 
 
 def search_frame_sets(

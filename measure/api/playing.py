@@ -17,7 +17,6 @@ import numpy as np
 import pyarrow as pa
 
 from measure.api.folders import events
-from measure.api.recording import until_stopped
 from measure.api.run_log import LogOptions
 from measure.api.sending import SendOptions, open_sending
 from measure.arrays import Floats
@@ -26,6 +25,7 @@ from measure.geometry import RigidTransform
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.measuring import Measurement, Status
 from measure.model import BallPosition, Pose
+from measure.processes import until_stopped
 from measure.results import Run, read_runs
 from measure.results.journal import is_missing
 from measure.results.stored import rows_of_body

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +13,6 @@ from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
 from measure.neighbours import load_command
-from measure.processes import needed
 
 
 @Parameter(name="*")
@@ -30,7 +28,7 @@ class _PageOptions:
     """
 
     studio: bool = False
-    board: str = api.DEMO_BOARDS[0]
+    board: str = "charuco_8x5_27"
     port: int = 8080
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True
 
@@ -61,7 +59,8 @@ def demo(
         frames: frame sets to render.
     """
     if page.studio:
-        _set_up(out, page, registry)
+        serve = load_command("studio")
+        serve(out, port=page.port, browser=page.browser, rendered=page.board, registry=registry)
         return
     chosen = api.load_profile(profile)
     with console.progress("rendering and measuring", "steps") as report:
@@ -94,15 +93,3 @@ def _print(made: api.Demo) -> None:
     console.print_text(f"picture  {made.picture}")
     console.print_text(f"look at it in 3-D:     measure view {made.run}")
     console.print_text(f"every error in detail: measure evaluate {made.run}")
-
-
-def _set_up(out: Path, page: _PageOptions, registry: api.Registry) -> None:
-    """Serve rendered cameras, and the set-up page on a new folder."""
-    studio = load_command("studio")
-    needed("nicegui", "studio", "the page")
-    with ExitStack() as stack:
-        with console.progress("rendering, the first time only", "pictures") as report:
-            desk, addresses = stack.enter_context(api.demo_cameras(out, page.board, report))
-        console.note(f"{desk}: choose the board {page.board} in step Calibration; Ctrl-C ends it")
-        cameras = [f"{name}={address}" for name, address in addresses.items()]
-        studio(desk, *cameras, port=page.port, browser=page.browser, registry=registry)

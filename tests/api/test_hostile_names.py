@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from measure import api
-from measure.capture import check_names
 from measure.cli import main
 from measure.errors import MeasureError
 from measure.host import Registry
@@ -25,6 +24,8 @@ from measure.session import check_name, files, open_session, read_body, read_cal
 from measure_lab import api as lab
 from measure_learning import api as learning_api
 from measure_learning.core import AssemblySettings
+from measure_studio import api as studio_api
+from measure_studio.capture import check_names
 from tests.session.conftest import SIZE_WH, Recording, jpeg, write_recording
 
 
@@ -149,7 +150,7 @@ def _rename_body(file: Path, name: str) -> None:
     file.write_text("\n".join(lines) + "\n")
 
 
-def _of_videos(place: Place) -> list[api.CameraAddress]:
+def _of_videos(place: Place) -> list[studio_api.CameraAddress]:
     """A camera that is called so, of a file; a name that is typed."""
     video = place.session / "film.avi"
     if not video.exists():
@@ -157,11 +158,14 @@ def _of_videos(place: Place) -> list[api.CameraAddress]:
         for _ in range(5):
             writer.write(np.zeros((SIZE_WH[1], SIZE_WH[0], 3), np.uint8))
         writer.release()
-    return [api.CameraAddress(place.name, str(video)), api.CameraAddress("b", str(video))]
+    return [
+        studio_api.CameraAddress(place.name, str(video)),
+        studio_api.CameraAddress("b", str(video)),
+    ]
 
 
 def _preview(place: Place) -> None:
-    preview = api.Preview()
+    preview = studio_api.Preview()
     preview.add(Image(place.name, 0, 0.0, lambda: np.zeros((4, 4, 3), np.uint8)))
     preview.write([place.name], place.out / "stills")
 
@@ -174,17 +178,17 @@ def _marking(place: Place) -> None:
 
 
 def _record(place: Place) -> None:
-    options = api.CaptureOptions(seconds=0.2)
+    options = studio_api.CaptureOptions(seconds=0.2)
     with suppress(MeasureError):
-        api.record(_of_videos(place), place.out / "rec", options, bodies=[place.body])
-    api.record(_of_videos(place), place.out / "rec", options)
+        studio_api.record(_of_videos(place), place.out / "rec", options, bodies=[place.body])
+    studio_api.record(_of_videos(place), place.out / "rec", options)
 
 
 def _live(place: Place) -> None:
-    options = api.LiveOptions(seconds=0.2, record=place.out / "rec")
+    options = studio_api.LiveOptions(seconds=0.2, record=place.out / "rec")
     profile, registry = api.load_profile("paper"), Registry.discover()
     given = _of_videos(place), place.out / "live", place.calibration, [place.body]
-    api.live(*given, profile, registry, options)
+    studio_api.live(*given, profile, registry, options)
 
 
 def _sampled(place: Place) -> None:
@@ -203,8 +207,8 @@ WRITES: dict[str, Callable[[Place], Any]] = {
     "accept": lambda p: lab.accept(p.run, p.session / "cam1.csv", p.out / "page.html"),
     "begin_marks": lambda p: api.begin_marks(p.out / "marks", p.session, p.calibration),
     "calibrate_to": lambda p: api.calibrate_to(p.out / "c.toml", p.capture),
-    "capture_board": lambda p: api.capture_board(
-        _of_videos(p), "charuco_8x5_27", p.out / "wave", api.CaptureOptions(seconds=0.2)
+    "capture_board": lambda p: studio_api.capture_board(
+        _of_videos(p), "charuco_8x5_27", p.out / "wave", studio_api.CaptureOptions(seconds=0.2)
     ),
     "draw": lambda p: api.draw([], api.drawings([p.capture / "cam0.png"], p.out)),
     "draw_target": lambda p: api.draw_target(p.body, p.out / "body.pdf"),

@@ -19,9 +19,9 @@ import pytest
 from cyclopts import App
 
 from measure.cli import build_app, console, main
-from measure.cli.live import _StateLines
 from measure.errors import SessionError
 from measure.neighbours import commands, load_command
+from measure_studio.cli.live import _StateLines
 from tests.measurements import measurement
 
 
@@ -261,15 +261,15 @@ def test_a_run_imports_no_more_than_it_uses():
     assert "measure.measuring.pipeline" in modules
     assert not modules & {
         "scipy.signal", "scipy.stats", "rerun", "plotly", "torch", "onnxruntime",
-        "measure.calibration", "measure.capture", "measure.simulation",
+        "measure.calibration", "measure_studio.capture", "measure.simulation",
     }  # fmt: skip
 
 
 def test_functions_of_api_load_when_they_are_asked_for():
     code = (
         "import measure.api.run, measure.api.check, sys; from measure import api;"
-        "assert 'measure.api.live' not in sys.modules;"
-        "print(*map(callable, (api.run, api.check, api.live)), {*api.__all__} - {*dir(api)})"
+        "assert 'measure.api.refining' not in sys.modules;"
+        "print(*map(callable, (api.run, api.check, api.refine)), {*api.__all__} - {*dir(api)})"
     )
     assert _python("-c", code).stdout.split() == ["True", "True", "True", "set()"]
     with pytest.raises(AttributeError, match="no attribute 'walk'"):
@@ -398,7 +398,7 @@ def test_completion_is_installed_where_the_shell_looks(tmp_path, monkeypatch, ca
 
 
 def test_a_live_line_says_how_many_cameras_are_there(monkeypatch, capsys):
-    monkeypatch.setattr("measure.cli.live._LINE_EVERY_S", 0.0)
+    monkeypatch.setattr("measure_studio.cli.live._LINE_EVERY_S", 0.0)
     cameras = dict.fromkeys(("cam0", "cam1", "cam2"))
     state = SimpleNamespace(latest=(), cameras=cameras, away=("cam1",), rate_hz=30.0, age_s=0.02)
     _StateLines()(state)

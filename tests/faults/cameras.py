@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from measure.capture import CameraAddress
-from measure.capture.sources import Shot, image_of, is_whole, size_wh
 from measure.errors import CaptureError, SessionError
+from measure_studio.capture import CameraAddress
+from measure_studio.capture.sources import Shot, image_of, is_whole, size_wh
 from tests.faults.hostile_camera import (
     LOGIN,
     OK,

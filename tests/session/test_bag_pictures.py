@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from measure.calibration import open_capture
-from measure.capture import parse_cameras
 from measure.cli import main
 from measure.errors import CalibrationError, SessionError
 from measure.results import read_run
 from measure.session import dump_toml, open_session, open_video_stream, read_calibration
+from measure_studio.capture import parse_cameras
 
 rosbags = pytest.importorskip("rosbags")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from measure.session import open_session, read_trajectory
-from measure_studio.layout import WIDTH_PX
+from measure_studio.page.layout import WIDTH_PX
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium, find_chromium
 from tests.studio.desk import FOOT, choose, click_at, go, press, strike, studio

@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from measure_studio.door import Door
+from measure_studio.page.door import Door
 
 HERE = "127.0.0.1:8080"
 INSIDE = [{"type": "inside"}]

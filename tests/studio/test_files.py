@@ -18,8 +18,8 @@ from fastapi import FastAPI
 from starlette.responses import HTMLResponse
 
 from measure.viewing.report.page import Page
-from measure_studio.door import Door
-from measure_studio.server import add_files
+from measure_studio.page.door import Door
+from measure_studio.page.server import add_files
 from tests.chromium import Chromium, find_chromium
 
 ATTACK = """<html><body><p id="what">begun</p><script>

@@ -14,9 +14,10 @@ import uvicorn
 from fastapi import FastAPI
 
 from measure import api
-from measure_studio.bench import Bench
-from measure_studio.door import Door
-from measure_studio.server import add_viewer
+from measure_studio import api as studio_api
+from measure_studio.page.bench import Bench
+from measure_studio.page.door import Door
+from measure_studio.page.server import add_viewer
 from tests.chromium import Chromium, find_chromium
 
 pytestmark = [
@@ -50,8 +51,8 @@ def foreign(page):
 
 def test_the_viewer_asks_this_machine_alone(tmp_path):
     """It would ask others for its letters, for news, and to tell that it was used."""
-    bench = Bench(tmp_path, api.Registry.discover(), True, api.CaptureRequest())
-    with api.web_viewer() as (viewer, _), served(bench) as address, Chromium() as page:
+    bench = Bench(tmp_path, api.Registry.discover(), True, studio_api.CaptureRequest())
+    with studio_api.web_viewer() as (viewer, _), served(bench) as address, Chromium() as page:
         page.open(address)
         page.wait_for("document.body?.innerText.includes('while something is measured')", 20)
         bench.viewer = viewer
@@ -65,10 +66,10 @@ def test_the_viewer_asks_this_machine_alone(tmp_path):
 
 
 def test_a_laboratorys_proxy_is_not_asked_for_it(tmp_path, monkeypatch):
-    bench = Bench(tmp_path, api.Registry.discover(), True, api.CaptureRequest())
+    bench = Bench(tmp_path, api.Registry.discover(), True, studio_api.CaptureRequest())
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     browser = build_opener(ProxyHandler({}))
-    with api.web_viewer() as (bench.viewer, _), served(bench) as address:
+    with studio_api.web_viewer() as (bench.viewer, _), served(bench) as address:
         assert b"<html" in browser.open(address, timeout=20).read()
         with pytest.raises(HTTPError, match="404"):
             browser.open(f"{address}nothing.js", timeout=20)

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from measure.api import CaptureRequest, Registry, board_length, write_measured_board
+from measure.api import Registry, board_length, write_measured_board
 from measure.errors import ConfigError
-from measure_studio.bench import Bench, Job
-from measure_studio.words import plain
+from measure_studio.api import CaptureRequest
+from measure_studio.page.bench import Bench, Job
+from measure_studio.page.words import plain
 
 FOLDER = Path("/home/somebody/my rig")
 

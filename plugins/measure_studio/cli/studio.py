@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
+from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -10,8 +11,10 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.options import CameraOptions, InjectedRegistry
+from measure.cli.options import InjectedRegistry
 from measure.errors import ConfigError
+from measure_studio import api
+from measure_studio.cli.options import CameraOptions
 
 
 def studio(
@@ -22,6 +25,7 @@ def studio(
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
     host: str = "127.0.0.1",
     capture: CameraOptions = CameraOptions(),
+    rendered: Annotated[str | None, Parameter(parse=False)] = None,
     registry: InjectedRegistry,
 ) -> None:
     """Serve a page that leads from cameras on a desk to a measured object.
@@ -36,14 +40,24 @@ def studio(
         port: to listen on; 0 for any that is free.
         browser: open the page in a browser.
         host: address to listen on.
+        rendered: instead of cameras, rendered ones that wave this board, on a new folder.
     """
     if find_spec("nicegui") is None:
         raise ConfigError("the page needs NiceGUI: pip install 'triball[studio]'")
-    from measure_studio.server import serve
+    from measure_studio.page.server import serve
 
     def tell(address: str) -> None:
         console.print_text(address)
         if browser:
             webbrowser.open(address)
 
-    serve(folder, registry, cameras, capture.request(), (host, port), capture.seconds, tell)
+    with ExitStack() as stack:
+        if rendered is not None:
+            with console.progress("rendering, the first time only", "pictures") as report:
+                made = stack.enter_context(api.demo_cameras(folder, rendered, report))
+            folder, addresses = made
+            cameras = tuple(f"{name}={address}" for name, address in addresses.items())
+            console.note(
+                f"{folder}: choose the board {rendered} in step Calibration; Ctrl-C ends it"
+            )
+        serve(folder, registry, cameras, capture.request(), (host, port), capture.seconds, tell)

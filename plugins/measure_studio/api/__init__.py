@@ -1,0 +1,44 @@
+"""What a notebook calls to see, record and measure cameras while they deliver."""
+
+from measure_studio.api.cameras import cameras
+from measure_studio.api.capturing import capture_board
+from measure_studio.api.live import LiveEnd, LiveOptions, LiveState, live
+from measure_studio.api.marks import TYPED
+from measure_studio.api.playing_cameras import CAMERA_PORT, camera_line, play_cameras
+from measure_studio.api.previewing import (
+    BallWatch,
+    CameraNow,
+    PictureFacts,
+    Preview,
+    WatchedCamera,
+    web_viewer,
+)
+from measure_studio.api.recording import (
+    CaptureOptions,
+    CaptureRequest,
+    RecordedSession,
+    camera_names,
+    parse_controls,
+    parse_size,
+    record,
+    usb_notes,
+)
+from measure_studio.api.rendered_cameras import DEMO_BOARDS, demo_cameras
+from measure_studio.capture import (
+    CameraAddress,
+    CameraCount,
+    Control,
+    DeviceControls,
+    FoundCamera,
+    Mode,
+    parse_cameras,
+)
+
+__all__ = [
+    "CAMERA_PORT", "DEMO_BOARDS", "TYPED", "BallWatch", "CameraAddress", "CameraCount", "CameraNow",
+    "CaptureOptions", "CaptureRequest", "Control", "DeviceControls", "FoundCamera", "LiveEnd",
+    "LiveOptions", "LiveState", "Mode", "PictureFacts", "Preview", "RecordedSession",
+    "WatchedCamera", "camera_line", "camera_names", "cameras", "capture_board", "demo_cameras",
+    "live", "parse_cameras", "parse_controls", "parse_size", "play_cameras", "record", "usb_notes",
+    "web_viewer",
+]  # fmt: skip

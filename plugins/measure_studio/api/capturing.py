@@ -1,0 +1,139 @@
+"""Pictures of a waved board, taken by themselves, as `calibrate` reads them."""
+
+from __future__ import annotations
+
+import glob
+import math
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from measure.api import (
+    GOAL_MM,
+    Board,
+    BoardWave,
+    Corners,
+    MirroredBoardError,
+    WaveState,
+    read_board,
+)
+from measure.api.calibrating import find_target
+from measure.api.outputs import check_folder, new_folder
+from measure.arrays import Floats
+from measure.errors import ConfigError
+from measure.model import Image, paper_body
+from measure.session import dump_toml, read_body
+from measure_studio.api.recording import CaptureOptions, OpenRig, open_rig, sources_of
+from measure_studio.capture import CameraAddress, Gathering, check_names
+
+_MARK = "capture.toml"
+_MIRRORED: Literal["mirrored"] = "mirrored"
+_QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 98)
+
+OnCorners = Callable[[Sequence[Image], Mapping[str, Floats]], None]
+
+
+def capture_board(
+    cameras: Sequence[CameraAddress],
+    board: Path | str,
+    out: Path,
+    options: CaptureOptions | None = None,
+    *,
+    body: Path | None = None,
+    goal_mm: float = GOAL_MM,
+    on_state: Callable[[WaveState], None] = lambda _: None,
+    on_corners: OnCorners = lambda _images, _corners: None,
+) -> WaveState | None:
+    """Take pictures of a board that is waved, those that add something, until they are enough.
+
+    Args:
+        board: its target file, or the name of one that comes with the program.
+        out: the capture folder.
+        options: how cameras are read; it ends when pictures are enough, too.
+        body: that will be measured; the paper's three balls if omitted.
+        goal_mm: expected error of the body's position (standard deviation) that is good enough.
+        on_state: called after every frame set.
+        on_corners: called before with the pictures, and the corners (n, 2) px that each camera
+            shows, by its name.
+
+    Returns:
+        How far the pictures suffice; None if no picture came.
+
+    Raises:
+        MeasureError: what is wrong with cameras, board, body or folder.
+    """
+    options, names = options or CaptureOptions(), [one.name for one in cameras]
+    options.check()
+    check_folder(out, options.overwrite, _MARK)
+    if not (math.isfinite(goal_mm) and goal_mm > 0):
+        raise ConfigError(f"--goal-mm {goal_mm:g}: expected a length in mm above 0")
+    check_names(names)
+    target = find_target(Path(board))
+    pattern, measured = read_board(target), paper_body() if body is None else read_body(body)
+    with open_rig(sources_of(cameras, [], options.request), [], options) as opened:
+        with new_folder(out, options.overwrite, _MARK):
+            _begin(out, target, names)
+        wave = BoardWave(pattern, {}, measured, goal_mm)
+        return _wave(opened, wave, out, on_state, on_corners)
+
+
+def _wave(
+    opened: OpenRig,
+    wave: BoardWave,
+    out: Path,
+    on_state: Callable[[WaveState], None],
+    on_corners: OnCorners,
+) -> WaveState | None:
+    """Gather pictures, and write those that the wave keeps."""
+    state, rig = None, opened.cameras
+    names = list(rig.addresses)
+    gathering = Gathering(names, on_read=rig.note_read)
+    over = opened.begin(gathering.add)
+    with ThreadPoolExecutor(len(names)) as pool:
+        for one in gathering.frame_sets(over, rig.check):
+            images = [*one.images.values()]
+            seen = dict(zip(one.images, pool.map(partial(_look, wave.board), images), strict=True))
+            views = {name: view for name, view in seen.items() if isinstance(view, Corners)}
+            on_corners(images, {name: view.pixels for name, view in views.items()})
+            wave.sizes_wh.update((i.camera, i.pixels.shape[1::-1]) for i in images)
+            times_s = {image.camera: image.time_s for image in images}
+            mirrored = [name for name, view in seen.items() if view == _MIRRORED]
+            if len(wave.sizes_wh) == len(names) and wave.add(views, times_s, mirrored):
+                _write(out, len(wave.kept), [i for i in images if i.camera in wave.kept[-1]])
+            state = wave.state()
+            on_state(state)
+            if state.enough:
+                rig.stop()
+    return state
+
+
+def _look(board: Board, image: Image) -> Corners | Literal["mirrored"] | None:
+    gray = np.asarray(cv2.cvtColor(image.pixels, cv2.COLOR_BGR2GRAY), np.uint8)
+    try:
+        return board.look(gray)
+    except MirroredBoardError:
+        return _MIRRORED
+
+
+def _begin(out: Path, board: Path, names: Sequence[str]) -> None:
+    """Write all but the pictures."""
+    out.mkdir(parents=True, exist_ok=True)
+    copy = f"board{board.suffix.lower()}"  # Kalibr's YAML stays one
+    shutil.copyfile(board, out / copy)
+    tables = [{"name": name, "intrinsics": f"{glob.escape(name)}/*.jpg"} for name in names]
+    about = {"name": out.resolve().name, "board": copy, "common_views": True}
+    (out / _MARK).write_text(dump_toml({"capture": about, "cameras": tables}), "utf-8")
+    for name in names:
+        (out / name).mkdir()
+
+
+def _write(out: Path, number: int, images: Sequence[Image]) -> None:
+    for image in images:
+        jpeg = image.encoded or cv2.imencode(".jpg", image.pixels, _QUALITY)[1].tobytes()
+        (out / image.camera / f"{number:06d}.jpg").write_bytes(jpeg)

@@ -1,0 +1,275 @@
+"""Measuring cameras while they deliver."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from measure.api import Measurement, Pipeline, Profile, relative_measurements
+from measure.api.folders import mark_event
+from measure.api.measuring import live_pipelines, measure_frame_sets
+from measure.api.outputs import check_folder
+from measure.api.profiles import build_pipeline
+from measure.api.run import provenance
+from measure.api.run_log import LogOptions, RunLog
+from measure.api.sending import Sending, SendOptions, open_sending, sent_pose
+from measure.api.warming_up import warm_pipeline
+from measure.errors import ConfigError
+from measure.host import EventMark, Registry, SentPose, SentRun
+from measure.model import Body, Camera, FrameSet, Image
+from measure.processes import share_heaps
+from measure.results import Provenance, RunWriter, Summary, check_run_folder
+from measure.session import Calibration, check_bodies, check_unit, read_body
+from measure_studio.api import recording
+from measure_studio.api.marks import check_marks, marks_received
+from measure_studio.capture import CameraAddress, CameraCount, Cameras, Gathering, check_names
+from measure_studio.capture.sources import Source
+
+_RECENT = 30  # Frame sets over which the rate and the age of poses are taken
+
+
+@dataclass(frozen=True)
+class LiveOptions(recording.CaptureOptions, LogOptions, SendOptions):
+    """How cameras are measured live."""
+
+    record: Path | None = None  # a session folder to record the pictures into as well
+    reference: str = ""  # name of the body that others are measured relative to; empty without one
+    marks: tuple[str, ...] = ()  # where event marks come from, see `marks_received`
+
+
+@dataclass(frozen=True)
+class LiveState:
+    """State of a live measurement."""
+
+    latest: Sequence[Measurement]  # the last measurement of each body
+    frame_sets: int  # how many are measured
+    rate_hz: float  # of late; NaN at first
+    # from the middle of a frame set's pictures to its pose being there, median of late.
+    age_s: float
+    overtaken: int  # pictures a camera that were left out for newer ones
+    unreadable: int  # pictures that could not be decoded
+    cameras: Mapping[str, CameraCount]  # what has come of each
+    images: Mapping[str, Image]  # the pictures that were measured, by camera
+    away: tuple[str, ...] = ()  # the cameras that are away now
+
+
+@dataclass(frozen=True)
+class LiveEnd:
+    """A live measurement that has ended."""
+
+    summary: Summary  # of the run
+    state: LiveState | None  # at the end; None if there was no frame set
+    changes: tuple[str, ...] = ()  # a sentence for each control of a camera that changed meanwhile
+    # what came of the poses for each address.
+    sent: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+
+
+def live(
+    cameras: Sequence[CameraAddress],
+    out: Path,
+    calibration: Path,
+    bodies: Sequence[Path],
+    profile: Profile,
+    registry: Registry,
+    options: LiveOptions | None = None,
+    on_state: Callable[[LiveState], None] = lambda _: None,
+) -> LiveEnd:
+    """Measure cameras while they deliver, for a time or until interrupted.
+
+    Unlike those of a recording, poses do not wait for later pictures. Where measuring is slower
+    than the cameras, frame sets are left out.
+
+    Args:
+        cameras: where their pictures come from; at least two.
+        out: the run's folder.
+        bodies: the bodies' files, one or several.
+        options: what else is to be done with pictures and poses.
+        on_state: called after every frame set.
+
+    Raises:
+        MeasureError: whatever is wrong with cameras, calibration, body, plugins or settings; what
+            was measured before it was met is kept.
+    """
+    share_heaps()
+    options = options or LiveOptions()
+    prepared = _prepare(cameras, out, calibration, bodies, profile, registry, options)
+    sent = prepared.sent
+    with ExitStack() as stack:
+        opened = stack.enter_context(recording.open_rig(prepared.sources, sent.cameras, options))
+        rig = opened.cameras
+        gathering = Gathering(list(rig.addresses), on_read=rig.note_read)
+        takers = [gathering.add, *_recorders(stack, opened, sent, options.record)]
+        sending = stack.enter_context(prepared.sending)
+        writer = stack.enter_context(_writer(out, prepared, options))
+        writer.begin()
+        log = stack.enter_context(RunLog(sent.name, sent.bodies, sent.cameras, out, options))
+
+        def on_mark(time_s: float, what: str) -> None:
+            mark_event(out, what, time_s)
+            sending.send((), [EventMark(time_s, time_s, what)])
+
+        stack.enter_context(marks_received(options.marks, rig.clock_s, on_mark))
+        # Each call begins with the frame sets that come then.
+        frame_sets = partial(gathering.frame_sets, opened.begin(*takers), rig.check)
+        pipelines = live_pipelines(prepared.warm, prepared.build, frame_sets)
+        state, watch = None, _PaceMeter(gathering, rig)
+        for frame_set, known in _measured(pipelines, frame_sets(), rig):
+            sending.send(_sent_poses(sent, known, rig.clock_s()), images=frame_set.images)
+            writer.append(*known)
+            log.add(known, frame_set)
+            state = watch.state(known, frame_set.images)
+            on_state(state)
+        rig.check()
+        log.close()
+        summary = writer.finish()
+    return LiveEnd(summary, state, tuple(opened.controls.changed.values()), sending.counts)
+
+
+def _writer(out: Path, prepared: _Prepared, options: LiveOptions) -> RunWriter:
+    sent, overwrite = prepared.sent, options.overwrite
+    return RunWriter(
+        out,
+        prepared.made_from,
+        sent.bodies,
+        sent.cameras,
+        overwrite=overwrite,
+        reference=sent.reference,
+    )
+
+
+def _measured(
+    pipelines: Sequence[Pipeline], frame_sets: Iterable[FrameSet], rig: Cameras
+) -> Iterator[tuple[FrameSet, list[Measurement]]]:
+    """Each frame set and its measurements, which say which cameras are away."""
+    for frame_set, found in measure_frame_sets(pipelines, frame_sets):
+        rig.note_copies(frame_set.images, found[0].copies)
+        yield frame_set, [_with_away(each, rig.away) for each in found]
+
+
+def _recorders(
+    stack: ExitStack, opened: recording.OpenRig, sent: SentRun, folder: Path | None
+) -> Iterator[Callable[[Image], None]]:
+    """What takes pictures to be recorded, if they are."""
+    if folder is not None:
+        recorder = recording.new_recorder(folder, opened, sent.bodies, sent.cameras, sent.reference)
+        yield stack.enter_context(recorder).add
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """What a live measurement needs, all of it checked, before a camera is asked for pictures."""
+
+    sent: SentRun
+    sending: Sending
+    sources: Mapping[str, Source]
+    build: Callable[[Body, Sequence[Camera]], Pipeline]
+    warm: Sequence[Pipeline]  # of each body
+    made_from: Provenance
+
+
+def _prepare(
+    cameras: Sequence[CameraAddress],
+    out: Path,
+    calibration: Path,
+    bodies: Sequence[Path],
+    profile: Profile,
+    registry: Registry,
+    options: LiveOptions,
+) -> _Prepared:
+    options.check()
+    _check_outputs(out, options, [one.name for one in cameras])
+    if len(cameras) < 2:
+        raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
+    calibrated = recording.calibrated_cameras(cameras, calibration)
+    measured = [read_body(body) for body in bodies]
+    check_bodies(measured, options.reference, "--body")
+    cure = 'write mm, or into another program\'s file its unit, as in unit = "m"'
+    check_unit(Calibration(tuple(calibrated)), measured[0], str(calibration), cure)
+    profile = profile.model_copy(update={"smoothing": False})
+    sent = SentRun(out.resolve().name, tuple(measured), tuple(calibrated), options.reference)
+    sending = open_sending(options, registry, sent)
+    sources = recording.sources_of(cameras, calibrated, options.request)
+    options.check_viewer()
+    return _Prepared(
+        sent,
+        sending,
+        sources,
+        partial(build_pipeline, profile, registry),
+        [warm_pipeline(profile, registry, body, calibrated) for body in measured],
+        _made_from(options, calibration, measured, profile, registry),
+    )
+
+
+def _made_from(options: LiveOptions, *known: Any) -> Provenance:
+    record = None if options.record is None else options.record.resolve()
+    return provenance(
+        *known,
+        session="" if record is None else str(record / "session.toml"),
+        session_digest="",  # of pictures that are yet to come
+        session_name="live" if record is None else record.name,
+        notes=("measured live",),
+    )
+
+
+def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> None:
+    """Refuse what must not be overwritten, before anything is slow."""
+    if options.record is not None:
+        recording.check_apart(options.record, out)
+        check_folder(options.record, options.overwrite, recording.SESSION)
+        check_names(names)
+    check_run_folder(out, None, options.overwrite)
+    check_marks(options.marks)
+
+
+def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:
+    """The same, saying which cameras are away; a pose without them is as good as it states."""
+    missing = [
+        f"{name} is away" for name in away if name not in {*measured.frames, *measured.copies}
+    ]
+    if not missing:
+        return measured
+    return replace(measured, reason="; ".join(filter(None, (measured.reason, *missing))))
+
+
+def _sent_poses(run: SentRun, measured: Sequence[Measurement], known_s: float) -> list[SentPose]:
+    """The poses of a frame set, and those relative to the reference."""
+    names = [body.name for body in run.bodies]
+    own = [sent_pose(one, name, known_s=known_s) for one, name in zip(measured, names, strict=True)]
+    relative = relative_measurements(run.bodies, measured, run.reference, run.cameras)
+    return own + [sent_pose(one, name, run.reference, known_s) for name, one in relative.items()]
+
+
+class _PaceMeter:
+    """Rate of measurements and age of poses."""
+
+    def __init__(self, gathering: Gathering, rig: Cameras) -> None:
+        self._gathering, self._rig = gathering, rig
+        self._done: deque[float] = deque(maxlen=_RECENT)
+        self._ages: deque[float] = deque(maxlen=_RECENT)
+
+    def state(self, measured: Sequence[Measurement], images: Mapping[str, Image]) -> LiveState:
+        """The state after these measurements of a frame set's pictures."""
+        now = time.monotonic()
+        self._done.append(now)
+        self._ages.append(self._rig.clock_s() - measured[0].time_s)
+        span = self._done[-1] - self._done[0]
+        return LiveState(
+            measured,
+            measured[0].index + 1,
+            (len(self._done) - 1) / span if span > 0 else math.nan,
+            float(np.median(self._ages)),
+            self._gathering.overtaken,
+            self._gathering.unreadable,
+            self._rig.counts,
+            images,
+            self._rig.away,
+        )

@@ -1,0 +1,265 @@
+"""Recording cameras into a session."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from measure.api.outputs import check_folder, new_folder
+from measure.errors import ConfigError
+from measure.model import Body, Camera, Image
+from measure.processes import until_stopped
+from measure.session import check_bodies, read_body, read_calibration
+from measure_studio import capture
+from measure_studio.capture.controls import ControlRecord, watched
+from measure_studio.capture.sources import Source
+
+SESSION = "session.toml"  # By which a recording's folder is known
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True)
+class CaptureRequest:
+    """What is requested of cameras of this machine."""
+
+    # of the pictures; that of the calibration if None and there is one.
+    size_wh: tuple[int, int] | None = None
+    rate_hz: float | None = None  # pictures a second; the camera's own if None
+    # by camera ("" for all) and control (exposure, focus, white_balance, gain, power_line, or the
+    # driver's name) a number, a menu's text or `auto`.
+    controls: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    lock: bool = False  # whether what automatic control has found is kept from the start on
+
+    def controls_of(self, camera: str) -> dict[str, str]:
+        """What a camera's controls are set to."""
+        return {**self.controls.get("", {}), **self.controls.get(camera, {})}
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """How cameras are read, whatever becomes of their pictures."""
+
+    request: CaptureRequest | None = None  # what cameras of this machine are set to
+    seconds: float | None = None  # how long; until interrupted if None
+    overwrite: bool = False  # replace what is there
+    on_image: Callable[[Image], None] | None = None  # gets every picture, from its camera's thread
+    # called, from another thread, when a camera is away, and when it is back.
+    on_outage: Callable[[capture.Outage], None] | None = None
+    stop: threading.Event | None = None  # set to end it; interrupts set it, too
+
+    def check(self) -> None:
+        """Refuse a time that is not above 0, or no number (ConfigError)."""
+        if self.seconds is not None and not (math.isfinite(self.seconds) and self.seconds > 0):
+            raise ConfigError(f"--seconds {self.seconds:g}: expected a time above 0")
+
+
+@dataclass(frozen=True)
+class OpenRig:
+    """Cameras that deliver."""
+
+    cameras: capture.Cameras
+    controls: ControlRecord
+    stop: threading.Event
+    options: CaptureOptions
+
+    def begin(self, *takers: Callable[[Image], None]) -> Callable[[], bool]:
+        """Hand pictures on from now; gives what tells whether it is over, and ends it in time."""
+        more, seconds = self.options.on_image, self.options.seconds
+        self.cameras.begin([*takers, more] if more else takers)
+        ends_s = math.inf if seconds is None else time.monotonic() + seconds
+
+        def over() -> bool:
+            if self.stop.is_set() or time.monotonic() >= ends_s:
+                self.cameras.stop()
+            return self.cameras.over
+
+        return over
+
+
+@contextmanager
+def open_rig(
+    sources: Mapping[str, Source], calibrated: Sequence[Camera], options: CaptureOptions
+) -> Iterator[OpenRig]:
+    """Open cameras until the block ends; nothing is lost yet if that is interrupted."""
+    lock = options.request is not None and options.request.lock
+    with (
+        capture.Cameras(sources, sizes_of(calibrated), options.on_outage) as rig,
+        watched(rig.controls, lock) as controls,
+        until_stopped(options.stop) as stop,
+    ):
+        yield OpenRig(rig, controls, stop, options)
+
+
+@dataclass(frozen=True)
+class RecordedSession:
+    """A recording that has ended."""
+
+    session: Path
+    cameras: Mapping[str, capture.CameraCount]
+    changes: tuple[str, ...] = ()  # a sentence for each control of a camera that changed meanwhile
+
+
+def record(
+    cameras: Sequence[capture.CameraAddress],
+    out: Path,
+    options: CaptureOptions | None = None,
+    *,
+    calibration: Path | None = None,
+    bodies: Sequence[Path] = (),
+    reference: str = "",
+    on_state: Callable[[Mapping[str, capture.CameraCount]], None] = lambda _: None,
+) -> RecordedSession:
+    """Record cameras into a session folder for a time, or until the process is interrupted.
+
+    Args:
+        calibration: copied into the folder; pictures of other sizes are refused. May be added
+            later.
+        bodies: likewise copied, one or several; may be added later.
+        reference: name of the body that others are measured relative to; empty without one.
+        on_state: called ten times a second with the counts of all cameras.
+
+    Raises:
+        CaptureError: a camera cannot be reached, does not take a control, or is of another size
+            than calibrated; the folder cannot be written, or a camera's name cannot be a folder's.
+        CalibrationError: the calibration is broken, or has not all the cameras.
+        SessionError: the body file is broken.
+        ConfigError: no camera, a time that is none, or a folder that holds something.
+    """
+    options = options or CaptureOptions()
+    options.check()
+    check_folder(out, options.overwrite, SESSION)
+    capture.check_names([one.name for one in cameras])
+    calibrated = calibrated_cameras(cameras, calibration)
+    measured = [read_body(body) for body in bodies]
+    if measured:
+        check_bodies(measured, reference, "--body")
+    with open_rig(sources_of(cameras, calibrated, options.request), calibrated, options) as opened:
+        rig = opened.cameras
+        with new_recorder(out, opened, measured, calibrated, reference) as recorder:
+            over = opened.begin(recorder.add)
+            while not over():
+                rig.check()
+                on_state(rig.counts)
+                opened.stop.wait(_POLL_S)
+            rig.check()
+            rig.wait()  # what is counted is to be in the folder
+    rig.check()
+    return RecordedSession(out, rig.counts, tuple(opened.controls.changed.values()))
+
+
+def new_recorder(
+    out: Path, opened: OpenRig, bodies: Sequence[Body], cameras: Sequence[Camera], reference: str
+) -> capture.Recorder:
+    """Begin a recording; one that is replaced is gone when this one has begun."""
+    addresses, settings = opened.cameras.addresses, opened.controls.settings
+    with new_folder(out, opened.options.overwrite, SESSION):
+        return capture.Recorder(out, addresses, bodies, cameras, reference, settings)
+
+
+def check_apart(record: Path, out: Path) -> None:
+    """Refuse (ConfigError) to record into a run's folder, or into one that it lies in."""
+    if record.resolve() in (out.resolve(), *out.resolve().parents):
+        raise ConfigError(
+            f"--record {record}: the run's folder, {out}, is the same or lies in it: a recording "
+            "needs a folder of its own"
+        )
+
+
+def calibrated_cameras(
+    cameras: Sequence[capture.CameraAddress], calibration: Path | None
+) -> list[Camera]:
+    """The calibrations of cameras, in their order; none without a file.
+
+    Raises:
+        ConfigError: there is no camera.
+        CalibrationError: the file is broken, or has not all of them.
+    """
+    if not cameras:
+        raise ConfigError("no camera: give at least one, as NAME=ADDRESS")
+    if calibration is None:
+        return []
+    known = read_calibration(calibration)
+    return [known.camera(one.name) for one in cameras]
+
+
+def sizes_of(cameras: Sequence[Camera]) -> dict[str, tuple[int, int]]:
+    """Size in px of the pictures of calibrated cameras, by name."""
+    sizes = {camera.name: camera.intrinsics.size_wh for camera in cameras}
+    return {name: (int(size[0]), int(size[1])) for name, size in sizes.items()}
+
+
+def sources_of(
+    cameras: Sequence[capture.CameraAddress],
+    calibrated: Sequence[Camera],
+    request: CaptureRequest | None,
+) -> dict[str, Source]:
+    """What delivers each camera's pictures; nothing is opened yet.
+
+    Raises:
+        ConfigError: an impossible request, or no camera that takes one.
+        CaptureError: there is no such camera or file.
+    """
+    request, sizes = request or CaptureRequest(), sizes_of(calibrated)
+    if request.rate_hz is not None and not (math.isfinite(request.rate_hz) and request.rate_hz > 0):
+        raise ConfigError(f"--rate {request.rate_hz:g}: expected pictures a second, above 0")
+    devices = [one.name for one in cameras if one.is_device]
+    if request != CaptureRequest() and not devices:
+        raise ConfigError(
+            "--size, --rate, --control and --lock are for cameras of this machine: none is given"
+        )
+    for name in request.controls:
+        if name and name not in devices:
+            first = next(iter(request.controls[name]))
+            raise ConfigError(f"--control {name}.{first}: {name} is no camera of this machine")
+    return {
+        one.name: one.source(
+            request.size_wh or sizes.get(one.name), request.rate_hz, request.controls_of(one.name)
+        )
+        for one in cameras
+    }
+
+
+def usb_notes(
+    cameras: Sequence[capture.CameraAddress], calibration: Path | None, request: CaptureRequest
+) -> list[str]:
+    """What a USB bus cannot carry of what is asked of cameras on it, with what would fit."""
+    places = {one.name: Path(one.device).resolve() for one in cameras if one.is_device}
+    if not places:
+        return []
+    there = {Path(one.path): one for one in capture.find_devices()}
+    known = {name: there[place] for name, place in places.items() if place in there}
+    sizes = sizes_of(calibrated_cameras(cameras, calibration))
+    asked = {name: request.size_wh or sizes.get(name) for name in known}
+    return capture.bus_notes(
+        known, {name: size for name, size in asked.items() if size}, request.rate_hz
+    )
+
+
+def parse_controls(texts: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Read NAME=VALUE and CAMERA.NAME=VALUE, several with commas; ConfigError for all else."""
+    found: dict[str, dict[str, str]] = {}
+    for text in (part.strip() for several in texts for part in several.split(",")):
+        key, _, value = text.partition("=")
+        camera, _, name = key.rpartition(".")
+        if not (name and value):
+            raise ConfigError(f"--control {text}: expected NAME=VALUE, such as exposure=150")
+        found.setdefault(camera, {})[name] = value
+    return found
+
+
+def camera_names(calibration: Path) -> tuple[str, ...]:
+    """The cameras of a calibration, in its order; CalibrationError if it is broken."""
+    return read_calibration(calibration).names
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read WIDTHxHEIGHT, px; ConfigError for anything else."""
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise ConfigError(f"--size {text}: expected WIDTHxHEIGHT, such as 1280x720")
+    return int(width), int(height)

@@ -1,0 +1,196 @@
+"""Rendered cameras to try the set-up page with: a board is waved, then lies, then a body moves."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+
+from measure.api import Sheet as PrintedSheet
+from measure.api import read_board, target_sheet
+from measure.api.calibrating import shipped_targets
+from measure.api.folders import next_free
+from measure.arrays import Bytes
+from measure.errors import ConfigError, MeasureError
+from measure.geometry import RigidTransform
+from measure.processes import Progress, quiet
+from measure.session import dump_toml, open_streams, read_calibration
+from measure_studio.api.playing_cameras import PictureReel, Screening
+from measure_studio.capture import serve_cameras
+
+DEMO_BOARDS = ("charuco_8x5_27", "chessboard_9x6_25")
+_RATE_HZ = 10.0
+_HELD_TICKS = dict(zip(DEMO_BOARDS, (12, 24), strict=True))
+"""Pictures for which a board is held still: 1.2 s; 2.4 s of the one that takes longer to find, for
+a busy computer looks once a second, and twice at what rests."""
+_BODY_TICKS = 80  # Pictures of the body's motion, there; it comes back the same way
+_PX_PER_MM = 8.0  # Of the printed board
+
+
+@contextmanager
+def demo_cameras(
+    folder: Path, board: str = DEMO_BOARDS[0], progress: Progress = quiet
+) -> Iterator[tuple[Path, dict[str, str]]]:
+    """Serve four rendered cameras that show what the newest rig folder needs next.
+
+    The board is waved until the folder has a calibration, lies still until that has a world,
+    and then a body moves. Pictures are rendered once and kept in `folder`.
+
+    Args:
+        folder: of the demonstration; the rig's folder is a new one in it.
+        board: name of one of `DEMO_BOARDS`.
+
+    Yields:
+        The rig's folder, and the cameras' addresses by name.
+
+    Raises:
+        ConfigError: there is no such board.
+    """
+    if board not in DEMO_BOARDS:
+        raise ConfigError(f"--board {board}: expected one of {', '.join(DEMO_BOARDS)}")
+    acts = _rendered(folder / "rendered", board, progress)
+    desk = folder / next_free(folder, "rig")
+    desk.mkdir(parents=True)
+    with ExitStack() as stack:
+        held = _HELD_TICKS[board]
+        reels = {
+            act: _reel(act, stack.enter_context(open_streams(acts[act])), held) for act in acts
+        }
+        stage = _HeldStage(reels, desk)
+        stack.callback(stage.over.set)
+        names = next(iter(reels.values())).streams
+        feeds = {name: partial(stage.parts, name) for name in names}
+        yield desk, stack.enter_context(serve_cameras(feeds))
+
+
+class _HeldStage:
+    """What the cameras see now, by what the rig's folder holds."""
+
+    def __init__(self, reels: Mapping[str, PictureReel], desk: Path) -> None:
+        self._reels, self._desk = reels, desk
+        self.over = threading.Event()
+        self._act = "waved"
+        self._shown = Screening(reels[self._act])
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def parts(self, camera: str) -> Iterator[bytes]:
+        """A camera's pictures from now on."""
+        while not self.over.is_set():
+            yield from self._shown.parts(camera)
+
+    def _watch(self) -> None:
+        while not self.over.wait(0.5):
+            if (act := _act_of(self._desk)) != self._act:
+                before, self._act = self._shown, act
+                self._shown = Screening(self._reels[act])
+                before.over.set()
+        self._shown.over.set()
+
+
+def _act_of(desk: Path) -> str:
+    """What is needed next."""
+    try:
+        calibration = read_calibration(desk / "calibration.toml")
+    except (MeasureError, OSError):
+        return "waved"
+    is_placed = "world" in calibration.provenance or any(desk.glob("body-*.toml"))
+    return "body" if is_placed else "lying"
+
+
+def _reel(act: str, streams: Mapping[str, object], held_ticks: int) -> PictureReel:
+    """When which picture is shown; a scene at rest has two pictures, which take turns."""
+    some = dict(streams)
+    size = min(len(one) for one in some.values())  # type: ignore[arg-type]
+    if act == "body":
+        places = [*range(size), *range(size - 2, 0, -1)]
+    else:
+        places = [2 * (k // 2) + t % 2 for k in range(0, size, 2) for t in range(held_ticks)]
+    turns = np.arange(len(places)) / _RATE_HZ, np.array(places)
+    return PictureReel(some, dict.fromkeys(some, turns), len(places) / _RATE_HZ)  # type: ignore[arg-type]
+
+
+def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
+    """The sessions of all acts, rendered if they are not there."""
+    from measure.simulation import write_session
+    from measure.simulation.boards import held_poses
+    from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
+
+    scene = webcam_scene()
+    points = read_board(shipped_targets()[board]).points
+    waved = held_poses(scene.cameras, points, WORKSPACE_MM)
+    flat = RigidTransform.from_rotvec([np.pi, 0, 0])
+    lying = replace(flat, translation=WORKSPACE_MM - (0, 0, 40) - flat.rotate(points.mean(axis=0)))
+    acts = {act: folder / f"{act}-{board}" for act in ("waved", "lying")} | {
+        "body": folder / "body"
+    }
+    number, total = count(1), len(scene.cameras) * (2 * len(waved) + 2 + _BODY_TICKS)
+
+    def step(*_: object) -> None:
+        progress(next(number), total)
+
+    for act, poses in (("waved", waved), ("lying", [lying])):
+        if not (acts[act] / "session.toml").is_file():
+            _write_board(acts[act], board, poses, step)
+    if not (acts["body"] / "session.toml").is_file():
+        write_session(scene, np.arange(_BODY_TICKS) / _RATE_HZ, acts["body"], progress=step)
+    return acts
+
+
+def _write_board(folder: Path, board: str, poses: Sequence[RigidTransform], step: Progress) -> None:
+    """A session of a board at rest in some poses, two pictures of each, which differ by noise."""
+    from measure.simulation import Renderer
+    from measure.simulation.boards import RenderedSheet, SheetPainter
+    from measure.simulation.catalogue import webcam_scene
+    from measure.simulation.sensor import develop, encode
+
+    target = shipped_targets()[board]
+    printed, first = target_sheet(target), read_board(target).points[:, :2].min(axis=0)
+    left, top = (first - printed.origin_mm).tolist()
+    sheet = RenderedSheet(_bitmap(printed), _PX_PER_MM, (left, top))
+    scene = replace(webcam_scene(), shown=(), attached=())
+
+    def shoot(number: int) -> None:
+        camera = scene.cameras[number]
+        (folder / camera.name).mkdir(parents=True, exist_ok=True)
+        empty, painter = Renderer(scene, camera.name).radiance(0.0), SheetPainter(sheet, camera)
+        for frame in range(2 * len(poses)):
+            if frame % 2 == 0:
+                light = painter.paint(empty, poses[frame // 2])
+            noise = np.random.Generator(np.random.SFC64([number, frame]))
+            data = encode(develop(light, scene.sensor, noise), scene.sensor)
+            (folder / camera.name / f"{frame:06d}.jpg").write_bytes(data)
+            step(0, None)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(shoot, range(len(scene.cameras))))
+    _write_texts(folder, [camera.name for camera in scene.cameras], 2 * len(poses))
+
+
+def _write_texts(folder: Path, names: Sequence[str], frames: int) -> None:
+    rows = "".join(f"{frame},{frame / _RATE_HZ}\n" for frame in range(frames))
+    for name in names:
+        (folder / f"{name}.csv").write_text("frame,time_s\n" + rows, "utf-8")
+    tables = [{"name": n, "images": f"{n}/*.jpg", "timestamps": f"{n}.csv"} for n in names]
+    text = dump_toml({"session": {"name": folder.name}, "cameras": tables})
+    (folder / "session.toml").write_text(text, "utf-8")
+
+
+def _bitmap(sheet: PrintedSheet) -> Bytes:
+    """The boxes of a sheet as a picture."""
+    width, height = (round(side * _PX_PER_MM) for side in sheet.size_mm)
+    out = np.full((height, width), 255, np.uint8)
+    for shape in sheet.shapes:
+        if shape.tag == "rect":
+            x, y, wide, high = (
+                shape.place[key] * _PX_PER_MM for key in ("x", "y", "width", "height")
+            )
+            level = 0 if shape.style["fill"] == "black" else 255
+            out[round(y) : round(y + high), round(x) : round(x + wide)] = level
+    return out

@@ -1,0 +1,122 @@
+"""`measure record`: cameras into a session."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+
+from measure.cli import console
+from measure.cli.console import JsonFlag, OutFile, Overwrite
+from measure.cli.options import BodyOptions
+from measure.model import Image
+from measure_studio import api as studio_api
+from measure_studio.capture import CameraCount, Outage
+from measure_studio.cli.options import CameraOptions
+
+_UNEVEN_S = 2e-3  # Spread of the times of arrival, in s, from which a warning is printed
+_LISTED = 10  # Outages of a camera that are listed at the end; of more, the latest
+
+
+def record(
+    *cameras: str,
+    out: OutFile,
+    overwrite: Overwrite = False,
+    calibration: Path | None = None,
+    bodies: BodyOptions = BodyOptions(),
+    capture: CameraOptions = CameraOptions(),
+    spawn: bool = False,
+    json: JsonFlag = False,
+) -> None:
+    """Record cameras into a session.
+
+    JPEGs are kept as the cameras make them, a file each, with the time at which each arrived.
+    Without `--seconds` it goes on until it is interrupted (Ctrl-C).
+
+    Args:
+        cameras: NAME=ADDRESS each: http://... of a motion-JPEG stream, rtsp://..., the number of a
+            camera of this machine (0 for /dev/video0), or a video file, played at its own pace.
+        out: the session's folder.
+        calibration: the cameras' calibration, copied into the session as the bodies' files are;
+            they may come later.
+        spawn: open the viewer, and see there what the cameras show.
+    """
+    names = () if calibration is None else studio_api.camera_names(calibration)
+    given, request = studio_api.parse_cameras(cameras, names), capture.request()
+    for line in studio_api.usb_notes(given, calibration, request):
+        console.note(line)
+    preview = _preview([one.name for one in given]) if spawn else None
+    options = studio_api.CaptureOptions(request, capture.seconds, overwrite, preview, note_outage)
+    with console.progress("recording", "pictures") as report:
+        recorded = studio_api.record(
+            given,
+            out,
+            options,
+            calibration=calibration,
+            bodies=bodies.body,
+            reference=bodies.reference or "",
+            on_state=lambda counts: report(sum(c.pictures for c in counts.values()), None),
+        )
+    if json:
+        console.print_json(recorded)
+        return
+    print_cameras(recorded.cameras, recorded.changes)
+    console.print_text(f"written to {out}; what is weak in it: measure check {out}")
+
+
+def _preview(cameras: Sequence[str]) -> Callable[[Image], None]:
+    """Open the viewer; returns what shows a picture there."""
+    from measure.viewing.recording import LivePictures
+    from measure.viewing.viewer import open_viewer
+
+    return LivePictures(cameras, open_viewer([]).listens).add
+
+
+def note_outage(outage: Outage) -> None:
+    """Say that a camera is away, or back."""
+    console.note(outage.sentence())
+
+
+def print_cameras(cameras: Mapping[str, CameraCount], changes: Sequence[str]) -> None:
+    """Print the pictures of each camera, and notes on interruptions, times and controls."""
+    console.print_table(
+        ("camera", "pictures", "per s", "times are", "uneven ms"),
+        [
+            (
+                name,
+                one.pictures,
+                _known(one.rate_hz),
+                "its own" if one.own_clock else "of arrival",
+                _known(1e3 * one.uneven_s),
+            )
+            for name, one in cameras.items()
+        ],
+    )
+    for name, one in cameras.items():
+        for line in _outage_lines(name, one.outages):
+            console.print_text(line)
+        if not one.own_clock and one.uneven_s > _UNEVEN_S:
+            console.print_text(
+                f"note: {name} sends no times of its own, and its pictures arrive unevenly: a body "
+                f"that moves at 100 mm/s is seen {100 * one.uneven_s:.1f} mm beside where it was"
+            )
+        if one.refused:
+            console.print_text(f"note: {one.refused} pictures of {name} were torn or out of order")
+    for line in changes:
+        console.print_text(f"note: {line}")
+
+
+def _outage_lines(name: str, outages: Sequence[Outage]) -> Iterator[str]:
+    """When a camera was away, and why."""
+    if outages:
+        times = "once" if len(outages) == 1 else f"{len(outages)} times"
+        yield f"note: {name} was away {times}" + ", of late" * (len(outages) > _LISTED)
+    for one in outages[-_LISTED:]:
+        since = datetime.fromtimestamp(one.since_s).strftime("%H:%M:%S")
+        lasted = "to the end" if one.lasts else f"for {one.until_s - one.since_s:.1f} s"
+        yield f"  from {since} {lasted}: {one.reason}"
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value

@@ -1,0 +1,1 @@
+"""The set-up page: what it shows, and what its buttons do."""

@@ -1,0 +1,329 @@
+"""What all pages share: the folder, the cameras, and the one thing that is done at a time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from measure import api
+from measure.errors import ConfigError, MeasureError
+from measure_studio import api as studio_api
+
+BOARD = "charuco_8x5_27"
+"""Offered first: parts of it count, its turns are told apart, and it is found fast."""
+CALIBRATION = "calibration.toml"  # In the folder: the newest, whichever page made it
+_PATIENCE_S = 3.0  # Longest wait for cameras to be closed
+_CAMERAS = "cameras.txt"  # In the folder: NAME=ADDRESS a line, without those that hold a secret
+
+
+class Job:
+    """Work in a thread of its own; its result is for people, its problem empty if there is none."""
+
+    def __init__(self, title: str, work: Callable[[Job], str]) -> None:
+        self.stop = threading.Event()
+        self.title = title
+        self.result = self.problem = ""
+        self._thread = threading.Thread(target=self._run, args=(work,), daemon=True)
+        self._thread.start()
+
+    @property
+    def title(self) -> str:
+        """What is being done; a new title begins a new part of the work."""
+        return self._title
+
+    @title.setter
+    def title(self, title: str) -> None:
+        self._title, self.done, self.total = title, 0, 0
+        self._begun_s = time.monotonic()
+
+    @property
+    def runs(self) -> bool:
+        """Whether it is not over yet."""
+        return self._thread.is_alive()
+
+    def wait(self, seconds: float) -> None:
+        """Wait for its end, not for longer than this."""
+        self._thread.join(seconds)
+
+    def progress(self, done: int, total: int | None) -> None:
+        """Hear how far it is."""
+        self.done, self.total = done, total or 0
+
+    def lasts(self, seconds: float | None) -> None:
+        """Hear that this part takes so long, and how far it is by the clock."""
+        if seconds:
+            self.progress(
+                min(round(1e3 * self.lasted_s), round(1e3 * seconds)), round(1e3 * seconds)
+            )
+
+    @property
+    def lasted_s(self) -> float:
+        """How long this part of the work goes on already."""
+        return time.monotonic() - self._begun_s
+
+    @property
+    def share(self) -> float | None:
+        """How much of this part is done, 0 to 1; None if nobody knows."""
+        return self.done / self.total if self.total else None
+
+    def told(self) -> str:
+        """What is being done and how long it takes yet, or how it ended."""
+        if not self.runs:
+            return self.problem or self.result
+        if not self.share:
+            return f"{self.title} ... {self.lasted_s:.0f} s"
+        left_s = self.lasted_s * (1 / self.share - 1)
+        return f"{self.title}: {self.share:.0%}, about {max(left_s, 1):.0f} s left"
+
+    def _run(self, work: Callable[[Job], str]) -> None:
+        try:
+            self.result = work(self)
+        except MeasureError as problem:
+            self.problem = str(problem)
+        except OSError as problem:
+            self.problem = f"{problem.filename or ''}: {problem.strerror}"
+
+
+class Bench:
+    """The state of a set-up.
+
+    Attributes:
+        folder: everything read and written lies below it.
+        local: whether only this machine can look.
+        given: what cameras of this machine are set to.
+        cameras: in the order in which they were given.
+        preview: their newest pictures.
+        job: what is or was being done last; None at first.
+        board: file in the folder, or shipped target, that is waved and that the world begins at;
+            the newest file at first, for a board was measured then.
+        body: the body whose balls are looked for in the previews.
+        viewer: address of the Rerun viewer, while it is there.
+    """
+
+    def __init__(
+        self, folder: Path, registry: api.Registry, local: bool, request: studio_api.CaptureRequest
+    ) -> None:
+        self.folder, self.registry, self.local = folder.resolve(), registry, local
+        self.given, self.cameras = request, list[studio_api.CameraAddress]()
+        self.preview = studio_api.Preview()
+        self.job: Job | None = None
+        boards = api.contents_of(folder).boards if folder.is_dir() else ()
+        self.board = str(boards[0].relative_to(folder)) if boards else BOARD
+        self.body: Path | None = None
+        self.viewer = ""
+        self._watched: dict[studio_api.CameraAddress, studio_api.WatchedCamera] = {}
+        self._balls: studio_api.BallWatch | None = None
+        self._counts: Mapping[str, studio_api.CameraCount] | None = None
+        self._turn = threading.Lock()
+        self._calibration: tuple[int, api.Calibration] | None = None  # When it was written, too
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being done that needs the cameras, or much of this computer."""
+        return self.job is not None and self.job.runs
+
+    @property
+    def now(self) -> Mapping[str, studio_api.CameraNow]:
+        """State of each camera, whoever reads it at the moment."""
+        if self._counts is not None:
+            return {
+                name: studio_api.CameraNow.of(name, count) for name, count in self._counts.items()
+            }
+        return {one.name: watched.now for one, watched in self._watched.items()}
+
+    def problem(self, name: str) -> str:
+        """Why a camera delivers nothing now; empty if it does."""
+        if name not in self.now:
+            return "not read"
+        return self.now[name].problem.removeprefix(f"camera '{name}': ")
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the cameras, in their order."""
+        return [one.name for one in self.cameras]
+
+    @property
+    def calibration(self) -> api.Calibration | None:
+        """The newest calibration that was made here, read once; None without one."""
+        file = self.folder / CALIBRATION
+        try:
+            changed = file.stat().st_mtime_ns
+            if self._calibration is None or self._calibration[0] != changed:
+                self._calibration = changed, api.read_calibration(file)
+        except (OSError, MeasureError):
+            return None
+        return self._calibration[1]
+
+    def target(self) -> Path:
+        """The file of the board."""
+        return api.shipped_targets().get(self.board) or api.inside(self.folder, self.board)
+
+    def cameras_told(self) -> str:
+        """How the cameras are, in a line."""
+        if not self.cameras:
+            return "no camera yet"
+        problems = {name: text for name in self.names if (text := self.problem(name))}
+        if len(problems) > 2:  # more sentences than a line holds
+            return f"{len(problems)} of {len(self.cameras)} cameras deliver nothing"
+        if problems:
+            return "; ".join(
+                text if name in text else f"{name}: {text}" for name, text in problems.items()
+            )
+        count = len(self.cameras)
+        return f"{count} cameras deliver" if count > 1 else "one camera delivers"
+
+    def load_cameras(self, words: tuple[str, ...] = ()) -> None:
+        """Take the cameras that were given, or those of the last time."""
+        file = self.folder / _CAMERAS
+        if not words and file.is_file():
+            words = tuple(file.read_text("utf-8").split("\n"))
+        self.set_cameras(studio_api.parse_cameras([word for word in words if word.strip()]))
+
+    def set_cameras(self, cameras: list[studio_api.CameraAddress]) -> None:
+        """Watch these from now on; MeasureError if that cannot be now, or of a file elsewhere."""
+        self.refuse_if_busy()
+        self.job = self.job if self.job and not self.job.problem else None
+        for one in cameras:
+            if not (one.is_device or "://" in one.address):
+                api.inside(self.folder, one.address)
+        self.cameras = cameras
+        kept = [f"{one.name}={one.address}\n" for one in cameras if not one.holds_secret]
+        (self.folder / _CAMERAS).write_text("".join(kept), "utf-8")
+        self.watch()
+
+    def set_controls(self, text: str, lock: bool) -> None:
+        """Set cameras of this machine, as `--control` and `--lock` do, now and from now on."""
+        self.refuse_if_busy()
+        controls = studio_api.parse_controls([text] if text.strip() else [])
+        self.given = replace(self.given, controls=controls, lock=lock)
+        self.let_go()
+        self.watch()
+
+    def watch(self) -> None:
+        """Read the cameras for looking at them, and for nothing else."""
+        for gone in self._watched.keys() - set(self.cameras):
+            self._watched.pop(gone).stop()
+        for one in self.cameras:
+            if one not in self._watched:
+                # A file is meant from the folder, wherever the program was started.
+                there = one.below(self.folder)
+                self._watched[one] = studio_api.WatchedCamera(there, self.preview.add, self.given)
+        self.look_for_balls()
+
+    def let_go(self) -> None:
+        """Close the cameras, for whoever needs them next."""
+        if self._balls is not None:
+            self._balls.stop()
+        for one in self._watched.values():
+            one.stop()
+        until_s = time.monotonic() + _PATIENCE_S
+        for one in self._watched.values():
+            one.wait(max(until_s - time.monotonic(), 0.0))
+        self._watched, self._balls = {}, None
+
+    def look_for_balls(self) -> None:
+        """Search the previews for the body, if one is chosen."""
+        if self._balls is not None:
+            self._balls.stop()
+        self._balls = None
+        if self.body is not None:
+            names = [one.name for one in self.cameras]
+            self._balls = studio_api.BallWatch(self.preview, names, self.body, self.registry)
+
+    def refuse_if_busy(self) -> None:
+        """Refuse (ConfigError) a second thing at a time."""
+        if self.job is not None and self.busy:
+            raise ConfigError(f"{self.job.title} goes on: stop it, or wait until it has ended")
+
+    def begin(self, title: str, work: Callable[[Job], str], needs_cameras: bool = False) -> None:
+        """Do something in the background; the cameras are watched again when it is over."""
+
+        def with_cameras(job: Job) -> str:
+            self.let_go()
+            try:
+                return work(job)
+            finally:
+                self._counts = None
+                self.watch()
+
+        with self._turn:
+            self.refuse_if_busy()
+            self.job = Job(title, with_cameras if needs_cameras else work)
+
+    def note_counts(self, counts: Mapping[str, studio_api.CameraCount]) -> None:
+        """Hear from whoever reads the cameras what came of them."""
+        self._counts = counts
+
+    @property
+    def request(self) -> studio_api.CaptureRequest | None:
+        """What `record` and `live` are to set cameras to; None if none can be set."""
+        return self.given if any(one.is_device for one in self.cameras) else None
+
+    def addresses(self) -> list[studio_api.CameraAddress]:
+        """The cameras as `record` and `live` take them; ConfigError if there is none."""
+        if not self.cameras:
+            raise ConfigError("there is no camera yet: add them on the page Cameras")
+        return [one.below(self.folder) for one in self.cameras]
+
+    def record(
+        self,
+        job: Job,
+        session: Path,
+        seconds: float | None,
+        calibration: Path | None,
+        bodies: Sequence[Path] = (),
+    ) -> studio_api.RecordedSession:
+        """Record into a session, as part of a job."""
+
+        def hear(counts: Mapping[str, studio_api.CameraCount]) -> None:
+            self.note_counts(counts)
+            job.lasts(seconds)
+
+        look, stop = self.preview.add, job.stop
+        options = studio_api.CaptureOptions(self.request, seconds=seconds, on_image=look, stop=stop)
+        cameras = self.addresses()
+        return studio_api.record(
+            cameras, session, options, calibration=calibration, bodies=bodies, on_state=hear
+        )
+
+    def calibrate(
+        self,
+        capture: Path,
+        hear: Callable[[api.CalibrationResult, Path], None],
+        body: Path | None = None,
+    ) -> None:
+        """Calibrate by a capture; `hear` gets what was found, and its report."""
+        work = partial(self.calibrated, capture=capture, hear=hear, body=body)
+        self.begin(f"calibrating by {capture.name}", work)
+
+    def calibrated(
+        self,
+        job: Job,
+        capture: Path,
+        hear: Callable[[api.CalibrationResult, Path], None],
+        body: Path | None = None,
+    ) -> str:
+        """The same as part of a job."""
+        job.title, out = f"calibrating by {capture.name}", self.folder / CALIBRATION
+        found = api.calibrate_to(out, capture, body=body, progress=job.progress, overwrite=True)
+        hear(*found)
+        error_mm = float(np.sqrt(np.mean(found[0].verdict.position_sd_mm ** 2)))
+        return f"{capture.name} gave {CALIBRATION}: expected error at the body {error_mm:.3f} mm"
+
+    def stop(self) -> None:
+        """End what goes on, as an interrupt would."""
+        if self.job is not None:
+            self.job.stop.set()
+
+    def close(self) -> None:
+        """End everything, and wait till what was measured is written."""
+        self.stop()
+        if self.job is not None:
+            self.job.wait(10.0)
+        self.let_go()

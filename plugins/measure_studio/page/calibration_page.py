@@ -1,0 +1,254 @@
+"""Calibration: a board is waved until its pictures are enough, and the cameras come from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from nicegui import ui
+
+from measure import api
+from measure.errors import ConfigError
+from measure_studio import api as studio_api
+from measure_studio.page import drawings, overlays
+from measure_studio.page.bench import Bench, Job
+from measure_studio.page.board_choice import choose_board
+from measure_studio.page.layout import (
+    act,
+    camera_pictures,
+    choice,
+    chosen,
+    details,
+    intro,
+    kept_so,
+    link,
+    page,
+    put,
+    told,
+)
+
+_ROWS = ("upper", "middle", "lower")  # By which advice names a part of a picture
+_ADVISED = 2  # Pieces of advice that are shown at a time: hands follow no more
+
+
+@dataclass
+class _Wave:
+    """What is asked for, and what was taken and calibrated last; it outlives the browser's page."""
+
+    bench: Bench
+    goal_mm: float = 0.2
+    capture: Path | None = None
+    state: api.WaveState | None = None
+    corners: Mapping[str, overlays.Floats] = field(default_factory=dict)  # In the newest pictures
+    result: api.CalibrationResult | None = None
+    report: Path | None = None
+    is_waved: bool = False
+    suffices: bool = False  # whether whoever waves has had enough
+
+    def take(self, body: Path | None) -> None:
+        """Take pictures of the board until they are enough, and calibrate by them."""
+        bench = self.bench
+        cameras, out = bench.addresses(), bench.folder / api.next_free(bench.folder, "capture")
+
+        def work(job: Job) -> str:
+            self.capture, self.state, self.result = out, None, None
+            self.is_waved, self.suffices = True, False
+            try:
+                last = studio_api.capture_board(
+                    cameras,
+                    bench.target(),
+                    out,
+                    studio_api.CaptureOptions(
+                        bench.request, on_image=bench.preview.add, stop=job.stop
+                    ),
+                    body=body,
+                    goal_mm=self.goal_mm,
+                    on_state=lambda state: setattr(self, "state", state),
+                    on_corners=self._see,
+                )
+            finally:
+                self.is_waved = False
+            if last is None or not (last.enough or self.suffices):
+                return (
+                    f"stopped; {_kept(last)}: wave the board again, or calibrate by them under More"
+                )
+            return bench.calibrated(job, out, self._hear, body)
+
+        bench.begin("watching the board", work, needs_cameras=True)
+
+    def end(self) -> None:
+        """Take what there is for enough."""
+        self.suffices = True
+        self.bench.stop()
+
+    def calibrate(self, body: Path | None) -> None:
+        """Calibrate by the newest pictures."""
+        capture = self.capture or max(self.bench.folder.glob("capture-*"), default=None)
+        if capture is None:
+            raise ConfigError("there are no pictures of a board yet: wave it first")
+        self.bench.calibrate(capture, self._hear, body)
+
+    def _see(self, images: Sequence[api.Image], corners: Mapping[str, overlays.Floats]) -> None:
+        self.corners = corners
+        for image in images:
+            if image.camera in corners:
+                self.bench.preview.hold(image)
+
+    def _hear(self, result: api.CalibrationResult, report: Path) -> None:
+        self.result, self.report = result, report
+
+    @property
+    def is_accurate(self) -> bool:
+        """Whether the goal is reached, though parts of pictures may still be empty."""
+        return self.state is not None and self.state.accurate
+
+    @property
+    def share(self) -> float:
+        """How much of the accuracy that is asked for is there, 0 to 1."""
+        if self.state is None or not self.state.position_sd_mm > 0:
+            return 0.0
+        return min(self.state.goal_mm / self.state.position_sd_mm, 1.0)
+
+    def advice(self) -> str:
+        """What to do next, in large letters."""
+        if not self.is_waved:
+            return ""
+        if self.state is None:
+            return "show the board to the cameras"
+        if self.is_accurate and self.state.advice:
+            lacks = "; ".join(self.state.advice[:_ADVISED])
+            is_part = any(row in lacks for row in _ROWS)
+            return f"Accurate enough. Still {'empty' if is_part else 'to do'}: {lacks}"
+        return "\n".join(self.state.advice[:_ADVISED])
+
+    def reached(self) -> str:
+        """How far it is."""
+        if not self.is_waved or self.state is None:
+            return ""
+        if not self.state.position_sd_mm > 0:
+            return "too few views yet to say how accurate it will be"
+        mm, goal_mm = self.state.position_sd_mm, self.state.goal_mm
+        return f"expected error at the body {mm:.3f} mm; goal {goal_mm:g} mm"
+
+    def seen_by(self, name: str) -> str:
+        """What a camera has seen of the board, in a line."""
+        if self.state is None or not (seen := self.state.cameras.get(name)) or not seen.views:
+            return name
+        return f"{name}: {seen.views} pictures, {seen.tilts} of them tilted"
+
+    def drawn_over(self, name: str) -> str:
+        """Where a camera has seen the board, and the corners that it sees now."""
+        facts = self.bench.preview.facts(name)
+        seen = self.state.cameras.get(name) if self.state is not None and self.is_waved else None
+        if seen is None or facts is None:
+            return ""
+        parts = [overlays.cells(facts.size_wh, seen.cells)]
+        if name in self.corners and self.bench.preview.held(name) is not None:
+            parts.append(overlays.corners(self.corners[name]))
+        return overlays.over(facts.size_wh, *parts)
+
+
+def _kept(last: api.WaveState | None) -> str:
+    count = max((seen.views for seen in last.cameras.values()), default=0) if last else 0
+    return f"{count} pictures were kept" if count else "no picture was kept"
+
+
+def add(bench: Bench) -> None:
+    """Add the page."""
+    wave = _Wave(bench)
+
+    @ui.page("/calibration")
+    def calibration() -> None:
+        with page(bench, "/calibration"):
+            with ui.column().classes("still") as still:
+                intro(
+                    "Glue the printed board to something flat, and wave it slowly where you will "
+                    "measure: tilted, near and far, two cameras seeing it at a time.",
+                    drawings.waving(),
+                )
+                _judgement(bench, wave)
+                choose_board(bench)
+            _progress(bench, wave, lambda: _one(bench, body))
+            camera_pictures(bench, wave.seen_by, wave.drawn_over).classes("watched")
+            body = _more(bench, wave)
+        # Who waves looks at the pictures, from afar.
+        kept_so(0.4, lambda: still.set_visibility(not wave.is_waved))
+
+
+def _more(bench: Bench, wave: _Wave) -> ui.select:
+    """What is seldom changed; gives the choice of the body that is to be measured."""
+    more = details("More: the accuracy asked for, and pictures that are there already")
+    with more, ui.row().classes("line"):
+        body = choice("Body to be measured", bench, api.contents_of(bench.folder).bodies)
+        goal = ui.number("Error at the body that is small enough, mm", min=0.001, step=0.01)
+        goal.bind_value(wave, "goal_mm").classes("field")
+        by_newest = partial(_calibrate, bench, wave, body)
+        act("Calibrate by the newest pictures", "tune", by_newest)
+    return body
+
+
+def _calibrate(bench: Bench, wave: _Wave, body: ui.select) -> None:
+    wave.calibrate(_one(bench, body))
+
+
+def _one(bench: Bench, body: ui.select) -> Path | None:
+    return next(iter(chosen(bench, body)), None)
+
+
+def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> None:
+    """The button that begins, and what to do next while the board is waved."""
+    with ui.row().classes("line"):
+        told(wave.advice, "figure lines", "data-advice")
+        begin = act("Wave the board", "waving_hand", lambda: wave.take(body()), primary=True)
+        enough = act("Enough for me", "done", wave.end, primary=True)
+    with ui.column().classes("advice") as shown:
+        bar = ui.linear_progress(0.0, show_value=False).props("rounded size=0.9rem")
+        bar.props('aria-label="how accurate it is, of what was asked for"')
+        told(wave.reached, "hint")
+
+    def show() -> None:
+        begin.set_visibility(not bench.busy)
+        enough.set_visibility(wave.is_waved and wave.is_accurate)
+        shown.set_visibility(wave.is_waved)
+        bar.value = wave.share
+
+    kept_so(0.4, show)
+
+
+def _judgement(bench: Bench, wave: _Wave) -> None:
+    """How good the calibration is, before what was noticed; notes are folded away."""
+    with ui.column().classes("verdict") as shown:
+        headline = ui.label().classes("figure").props("data-judgement")
+        told(lambda: "\n".join(_findings(wave.result, notes=False)), "lines")
+        link("Report of the calibration, with the cameras in 3-D", bench, lambda: wave.report)
+        with details("What was noticed besides") as folded:
+            told(lambda: "\n".join(_findings(wave.result, notes=True)))
+
+    def show() -> None:
+        shown.set_visibility(wave.result is not None and not wave.is_waved)
+        if wave.result is not None:
+            verdict = wave.result.verdict
+            headline.text = _headline(verdict)
+            put(headline, "wrong", not verdict.trustworthy)
+            put(headline, "good", verdict.trustworthy)
+            folded.text = f"{len(_findings(wave.result, notes=True))} things noticed besides"
+
+    kept_so(0.5, show)
+
+
+def _headline(verdict: api.Verdict) -> str:
+    mean, worst = np.sqrt(np.mean(verdict.position_sd_mm**2)), verdict.position_sd_mm.max()
+    good = "The cameras are calibrated" if verdict.trustworthy else "Do not trust this calibration"
+    return f"{good}: expected error at the body {mean:.3f} mm, at worst {worst:.3f} mm"
+
+
+def _findings(result: api.CalibrationResult | None, notes: bool) -> list[str]:
+    """What was noticed: either what is wrong or weak, or all the rest."""
+    if result is None:
+        return []
+    found = result.verdict.findings
+    grave = [str(one) for one in found if one.level.value != "note"]
+    return [line for line in result.lines()[:-1] if line not in grave] if notes else grave

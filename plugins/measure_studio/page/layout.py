@@ -1,0 +1,282 @@
+"""What every page has: the head with the way through them, and what all of them need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Literal, TypeVar
+from urllib.parse import quote
+
+from nicegui import run, ui
+
+from measure import api
+from measure.errors import MeasureError
+from measure_studio.page.bench import Bench
+from measure_studio.page.steps import STEPS, step_of
+from measure_studio.page.words import plain
+
+_T = TypeVar("_T")
+Drawn = Callable[[], str]
+"""Gives what is drawn into a picture: SVG in the picture's px, empty for nothing."""
+HELP = "/help"
+"""Where words and findings of all steps are explained."""
+WIDTH_PX = 720
+"""Of pictures as they are sent: two stand beside each other in a window of 1440 px."""
+_HEAD = """<link rel="stylesheet" href="/studio/studio.css">
+<script defer src="/studio/studio.js"></script>"""
+
+
+@contextmanager
+def page(bench: Bench, path: str) -> Iterator[None]:
+    """The frame round a page: the steps at its head, what is being done at its foot."""
+    here = step_of(path)
+    dressed(STEPS[here].name if path == STEPS[here].path else "Marks")
+    with ui.header().classes("head"):
+        ui.label("triball").classes("product")
+        with ui.element("nav").classes("way").props('aria-label="steps"'):
+            links = [_step_link(number, here) for number in range(len(STEPS))]
+        help_link = ui.link("Help", f"{HELP}#{STEPS[here].name.lower()}", new_tab=True)
+        help_link.classes("help").props("data-help")
+    with ui.column().classes("page") as body:
+        yield
+    with ui.footer().classes("foot"):
+        _job_line(bench)
+        onward = _next_link(here)
+
+    def tick() -> None:
+        done = [step.is_done(bench) for step in STEPS]
+        for link, is_done in zip(links, done, strict=True):
+            put(link, "done", is_done)
+        if onward is not None:  # One button stands out: what is to be done, then the way on
+            put(onward, "primary", done[here])
+            put(body, "is-done", done[here] and not bench.busy)
+
+    kept_so(1.0, tick)
+
+
+def dressed(title: str) -> None:
+    """Title, style and colours of a page."""
+    ui.add_head_html(_HEAD)
+    ui.page_title(f"{title} · triball studio")
+    ui.colors(primary="#1f5f99")
+
+
+def _step_link(number: int, here: int) -> ui.link:
+    """A step in the head: its number, or a tick once it is done, and its name."""
+    step = STEPS[number]
+    with ui.link(target=step.path) as link:
+        ui.element("span").classes("number").props(f'data-number="{number + 1}" aria-hidden="true"')
+        ui.label(step.name).classes("name")
+    link.classes("here" if number == here else "")
+    link.props(f'aria-label="{number + 1}. {step.name}" data-step="{step.name}"')
+    return link.props(f'aria-current="{"page" if number == here else "false"}"')
+
+
+def _next_link(here: int) -> ui.link | None:
+    """The way on to the next step; it stands out once this one is done."""
+    if here + 1 == len(STEPS):
+        return None
+    after = STEPS[here + 1]
+    return ui.link(f"Next: {after.name}", after.path).classes("act next").props("data-next")
+
+
+def _job_line(bench: Bench) -> None:
+    """What goes on, how far it is, and how it ended; else how the cameras are."""
+    known = bench.job  # What ended before this page was opened is over: its error, too
+    with ui.element("div").classes("job").props('role="status"'):
+        text = ui.label().classes("lines")
+        bar = ui.linear_progress(0.0, show_value=False).props('rounded aria-label="progress"')
+    stop = ui.button("Stop", on_click=bench.stop, color=None).classes("act stop")
+    stop.props("flat no-caps")
+
+    def show() -> None:
+        job = bench.job
+        is_over = job is not None and not job.runs and job.problem and (job is known)
+        told = job.told() if job is not None and not is_over else ""
+        text.set_text(plain(told, bench.folder) or bench.cameras_told())
+        put(text, "wrong", bool(job is not None and job.problem and not is_over))
+        share = job.share if job is not None and job.runs else None
+        bar.set_visibility(share is not None)
+        bar.value = share or 0.0
+        stop.set_visibility(bench.busy)
+
+    kept_so(0.3, show)
+
+
+def intro(sentence: str, drawing: str = "") -> None:
+    """What is to be done on a page, in one sentence, and a drawing where hands are needed."""
+    with ui.row().classes("intro"):
+        ui.label(sentence).classes("sentence")
+        if drawing:
+            ui.html(drawing, sanitize=False).classes("by-hand")
+
+
+def empty(text: str) -> ui.label:
+    """What will stand in a place that is still empty."""
+    return ui.label(text).classes("empty")
+
+
+def details(title: str) -> ui.expansion:
+    """A part that is folded away till it is asked for; use it as a context manager."""
+    return ui.expansion(title).classes("details").props("dense")
+
+
+def told(text: Callable[[], str], kind: str = "lines", mark: str = "") -> ui.label:
+    """A label that says what is so at the moment; it takes no room while it says nothing."""
+    label = ui.label().classes(kind).props(mark)
+
+    def show() -> None:
+        label.set_text(said := text())
+        label.set_visibility(bool(said))
+
+    kept_so(0.4, show)
+    return label
+
+
+async def tried(work: Callable[[], _T]) -> _T | None:
+    """Do something that may take a while; what the user can mend is shown, and gives None."""
+    try:
+        return await run.io_bound(work)
+    except MeasureError as problem:
+        text = str(problem)
+    except OSError as problem:
+        text = f"{Path(problem.filename or '').name}: {problem.strerror}"
+    tell(plain(text), "negative")
+    return None
+
+
+def tell(text: str, kind: Literal["positive", "warning", "negative", "info"] = "info") -> None:
+    """A note for some seconds, at the top: the foot stays to be read."""
+    ui.notify(text, type=kind, position="top", multi_line=True, timeout=8_000)
+
+
+class Hint(str):
+    """What came of an action that is no success, and no error either."""
+
+
+def button(
+    text: str, icon: str, on_click: Callable[[], object], primary: bool = False
+) -> ui.button:
+    """A button; one of a page is its primary, which stands out."""
+    made = ui.button(text, icon=icon, on_click=on_click, color=None).props("flat no-caps")
+    made.props(f'aria-label="{text}"')
+    return made.classes("act primary" if primary else "act")
+
+
+def act(text: str, icon: str, work: Callable[[], str | None], primary: bool = False) -> ui.button:
+    """A button that does something, and tells what came of it."""
+
+    async def pressed() -> None:
+        if said := await tried(work):
+            tell(said, "warning" if isinstance(said, Hint) else "positive")
+
+    return button(text, icon, pressed, primary)
+
+
+def typed(label: str, example: str) -> ui.input:
+    """A field to type into, with an example of what it takes."""
+    return ui.input(label, placeholder=example).props("stack-label").classes("field")
+
+
+def choice(
+    label: str, bench: Bench, files: Sequence[Path], several: bool = False, newest: bool = True
+) -> ui.select:
+    """A choice among files of the folder, the newest at first; none of them is a choice, too."""
+    told = {str(f.relative_to(bench.folder)): api.described(f, bench.folder) for f in files}
+    first = [*told][:1] if newest else []
+    value = first if several else next(iter(first), None)
+    made = ui.select(told, label=label, value=value, multiple=several, clearable=not several)
+    before = list(first)
+
+    def keep() -> None:
+        """A click on the only one that is chosen does not take it away."""
+        if several and not made.value and before:
+            made.value = list(before)
+        before[:] = made.value if several else []
+
+    made.on_value_change(keep)
+    return made.classes("field")
+
+
+def chosen(bench: Bench, select: ui.select) -> list[Path]:
+    """The files that are chosen."""
+    names = select.value if isinstance(select.value, list) else [select.value]
+    return [api.inside(bench.folder, name) for name in names if name]
+
+
+def link(text: str, bench: Bench, file: Callable[[], Path | None]) -> None:
+    """A link to a file of the folder, once it is there."""
+    shown = ui.link(text, "", new_tab=True)
+
+    def show() -> None:
+        there = file()
+        address = f"/file/{quote(str(there.relative_to(bench.folder)))}" if there else ""
+        if shown.props.get("href") != address:
+            shown.props["href"] = address
+            shown.update()
+        shown.set_visibility(there is not None)
+
+    kept_so(0.5, show)
+
+
+def pictures() -> ui.element:
+    """Where pictures of cameras stand: two by two, one below the other in a narrow window."""
+    return ui.element("div").classes("pictures")
+
+
+def picture(camera: str, width_px: int = WIDTH_PX, drawn: Drawn | None = None) -> None:
+    """The newest picture of a camera, which the browser fetches again a few times a second."""
+    with ui.element("div").classes("shot"):
+        image = ui.element("img").classes("live")
+        # A name may hold what would end an attribute, or an address.
+        image.props["data-live"] = f"/picture/{quote(camera, safe='')}?width={width_px}"
+        image.props["alt"] = camera
+        if drawn is not None:
+            over = ui.html("", sanitize=False).classes("over")
+            ui.timer(0.4, lambda: over.set_content(drawn()))
+
+
+def camera_card(
+    bench: Bench,
+    name: str,
+    width_px: int = WIDTH_PX,
+    line: Callable[[], str] = str,
+    drawn: Drawn | None = None,
+) -> ui.element:
+    """The picture of a camera with lines below it; red while it is away.
+
+    Args:
+        line: what the lines say.
+        drawn: what lies over the picture, as SVG (see `measure_studio.page.overlays`).
+    """
+    with ui.card() as card:
+        picture(name, width_px, drawn)
+        told(line)
+        # While a board is watched nobody counts pictures, and no camera is called away.
+        ui.timer(0.5, lambda: put(card, "away", name in bench.now and bool(bench.problem(name))))
+    return card
+
+
+def camera_pictures(
+    bench: Bench, line: Callable[[str], str], drawn: Callable[[str], str]
+) -> ui.element:
+    """The pictures of all cameras, with what a page says of each and draws over it, by its name."""
+    with pictures() as shown:
+        for name in bench.names:
+            camera_card(bench, name, line=partial(line, name), drawn=partial(drawn, name))
+    if not bench.cameras:
+        empty("The cameras' pictures come here: step 1, Cameras, adds them.")
+    return shown
+
+
+def kept_so(seconds: float, show: Callable[[], object]) -> None:
+    """Show what is so, at once and again and again."""
+    show()
+    ui.timer(seconds, show)
+
+
+def put(element: ui.element, name: str, there: bool) -> None:
+    """Give an element a class, or take it away."""
+    element.classes(add=name if there else None, remove=None if there else name)

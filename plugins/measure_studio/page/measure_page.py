@@ -1,0 +1,342 @@
+"""Recording, and measuring live: what is measured, how well, and what was made of it."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nicegui import events, ui
+
+from measure import api
+from measure.errors import ConfigError
+from measure_lab import api as lab
+from measure_studio import api as studio_api
+from measure_studio.page.bench import Bench, Job
+from measure_studio.page.layout import (
+    Hint,
+    act,
+    camera_pictures,
+    choice,
+    chosen,
+    details,
+    empty,
+    intro,
+    page,
+    put,
+    tell,
+    told,
+    tried,
+)
+from measure_studio.page.words import plain
+
+_LISTED = 8  # Rests, and events, that are listed, the latest
+_REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
+_OLD_S = 2.0  # After so long without a pose the last one is no longer shown as if it were live
+_TRUTH = "truth.csv"  # In the folder, if there is one
+_WORDS = {"ok": ("OK", "good"), "flagged": ("DOUBTFUL", "weak")}
+"""State of a pose in large letters, and its colour; all others are lost."""
+_KEYS_OF_FRAME = """(e) => e.target.contentWindow?.addEventListener("keydown", (k) =>
+    document.body.dispatchEvent(
+        new KeyboardEvent("keydown", {key: k.key, code: k.code, bubbles: true})))"""
+"""A frame that was clicked into has the keyboard: what is struck there counts here, too."""
+
+
+@dataclass
+class _Live:
+    """What is asked for, and what was measured or recorded last; it outlives the browser's page."""
+
+    bench: Bench
+    profile: str = "precise"
+    seconds: float | None = None
+    keep: bool = True
+    viewer: bool = False
+    run: Path | None = None
+    session: Path | None = None
+    report: Path | None = None
+    state: studio_api.LiveState | None = None
+    goes_on: bool = False
+    heard_s: float = 0.0
+    heard_at: datetime = datetime.min
+    rests: dict[str, lab.RestsSoFar] = field(default_factory=dict)
+
+    def record(self, calibrations: list[Path], bodies: list[Path]) -> None:
+        """Record until it is stopped."""
+        bench, session = self.bench, self._next("session")
+        calibration = next(iter(calibrations), None)
+
+        def work(job: Job) -> str:
+            self.session, self.run, self.report = None, None, None
+            recorded = bench.record(job, session, self.seconds, calibration, bodies)
+            self.session = session
+            pictures = sum(count.pictures for count in recorded.cameras.values())
+            return f"{session.name}: {pictures} pictures of {len(recorded.cameras)} cameras"
+
+        bench.begin(f"recording {session.name}", work, needs_cameras=True)
+
+    def measure(self, calibrations: list[Path], bodies: list[Path]) -> None:
+        """Measure until it is stopped."""
+        if not (calibrations and bodies):
+            raise ConfigError("choose a calibration and a body: other pages make them")
+        bench, run = self.bench, self._next("run")
+        cameras, profile = bench.addresses(), api.load_profile(self.profile)
+        rig, read = api.read_calibration(calibrations[0]).cameras, [*map(api.read_body, bodies)]
+        options = studio_api.LiveOptions(
+            record=self._next("session") if self.keep else None,
+            seconds=self.seconds,
+            request=bench.request,
+            on_image=bench.preview.add,
+        )
+
+        def work(job: Job) -> str:
+            self.run, self.session, self.report, self.state = run, None, None, None
+            self.rests = {body.name: lab.RestsSoFar(body, rig) for body in read}
+            with ExitStack() as stack:
+                stack.callback(setattr, bench, "viewer", "")
+                stack.callback(setattr, self, "goes_on", False)
+                self.goes_on = True
+                made = replace(options, stop=job.stop)
+                if self.viewer and bench.local:
+                    bench.viewer, listens = stack.enter_context(studio_api.web_viewer())
+                    made = replace(made, viewer=listens, image_every=10)
+                summary = studio_api.live(
+                    cameras,
+                    run,
+                    calibrations[0],
+                    bodies,
+                    profile,
+                    bench.registry,
+                    options=made,
+                    on_state=self._hear,
+                ).summary
+            self.session, self.report = options.record, api.report(run)
+            return f"{run.name}: {summary.frame_sets} frame sets, {summary.ok} of them believed"
+
+        bench.begin(f"measuring {run.name}", work, needs_cameras=True)
+
+    def _next(self, stem: str) -> Path:
+        return self.bench.folder / api.next_free(self.bench.folder, stem)
+
+    def _hear(self, state: studio_api.LiveState) -> None:
+        self.state, self.heard_s, self.heard_at = state, time.monotonic(), datetime.now()
+        if self.bench.job is not None:
+            self.bench.job.lasts(self.seconds)
+        self.bench.note_counts(state.cameras)
+        for rests, measured in zip(self.rests.values(), state.latest, strict=True):
+            rests.add(measured)
+            self.bench.preview.note_measured(measured, state.images)
+
+    @property
+    def truth(self) -> Path | None:
+        """The truth that the run can be compared with; None without one."""
+        there = self.bench.folder / _TRUTH
+        return there if self.report is not None and there.is_file() else None
+
+    def age(self) -> str:
+        """Why what is shown is old; empty while poses come."""
+        if self.state is None or (self.goes_on and time.monotonic() - self.heard_s < _OLD_S):
+            return ""
+        at = f"{self.heard_at:%H:%M:%S}"
+        return f"{'no pose has come since' if self.goes_on else 'it ended at'} {at}"
+
+    def mark(self, what: str) -> str:
+        """Mark an event in the run that goes on."""
+        if self.run is None or not self.goes_on:
+            return Hint("nothing is being measured: M marks events while Measure goes on")
+        api.mark_event(self.run, what or "event")
+        return f"marked: {what or 'event'}"
+
+    def check(self) -> None:
+        """Say what is wrong or weak in the session."""
+
+        def work(job: Job) -> str:
+            found = api.check(self.session or Path(), self.bench.registry, progress=job.progress)
+            lines = [f"{one.level.value}: {one.topic}: {one.text}" for one in found.findings]
+            return "; ".join(lines) or "nothing wrong, nothing weak"
+
+        self.bench.begin("checking", work)
+
+    def evaluate(self) -> None:
+        """Compare the run with the truth in the folder."""
+        truth = self.truth
+
+        def work(_: Job) -> str:
+            found = api.evaluate(self.run or Path(), truth).body
+            error = "no pose to compare" if found is None else f"{found.rms_3d_mm:.3f} mm RMS"
+            return f"position error against the truth: {error}"
+
+        self.bench.begin("evaluating", work)
+
+
+def add(bench: Bench) -> None:
+    """Add the page."""
+    live = _Live(bench)
+
+    @ui.page("/measure")
+    def measure() -> None:
+        with page(bench, "/measure"):
+            intro("Place the body before the cameras, and measure it until you stop.")
+            _settings(bench, live)
+            _figures(live)
+            _afterwards(bench, live)
+            frame = ui.element("iframe").classes("viewer").props('title="3-D viewer"')
+            frame.on("load", js_handler=_KEYS_OF_FRAME)
+            ui.timer(1.0, lambda: _show_viewer(frame, bench.viewer.partition("?")[2]))
+            camera_pictures(bench, partial(_camera_line, bench), lambda _: "")
+
+
+def _settings(bench: Bench, live: _Live) -> None:
+    there = api.contents_of(bench.folder)
+    with ui.row().classes("line"):
+        begin = act("Measure", "straighten", lambda: live.measure(*given()), primary=True)
+        act("Record", "fiber_manual_record", lambda: live.record(*given()))
+        calibration = choice("Calibration", bench, there.calibrations)
+        bodies = choice("Bodies", bench, there.bodies, several=True)
+
+    def given() -> tuple[list[Path], list[Path]]:
+        return chosen(bench, calibration), chosen(bench, bodies)
+
+    with details("More: profile, time, pictures, 3-D viewer"), ui.row().classes("line"):
+        ui.select([*api.profile_names()], label="Profile").bind_value(live, "profile")
+        seconds = ui.number("Seconds (empty: until stopped)", min=0.1).classes("field")
+        seconds.bind_value(live, "seconds")
+        ui.checkbox("keep the pictures").bind_value(live, "keep")
+        ui.checkbox("3-D viewer").bind_value(live, "viewer").set_enabled(bench.local)
+    with ui.row().classes("line") as marking:
+        act("Mark (M)", "flag", lambda: live.mark(what.value))
+        what = ui.input("Event", value="event")
+
+    def show() -> None:
+        marking.set_visibility(live.goes_on)
+        put(begin, "primary", live.report is None and not bench.busy)  # Else the report is
+
+    ui.timer(0.5, show)
+
+    async def strike(pressed: events.KeyEventArguments) -> None:
+        if not pressed.action.keydown or pressed.action.repeat or pressed.key != "m":
+            return
+        if said := await tried(lambda: live.mark(what.value)):
+            tell(said, "warning" if isinstance(said, Hint) else "positive")
+
+    ui.keyboard(strike, ignore=["input", "textarea"])
+
+
+def _figures(live: _Live) -> None:
+    """The state in large letters, poses in large figures; rests and events below."""
+    nothing = empty("The state of each body and its pose come here.")
+    poses = ui.html("", sanitize=False).classes("poses").props("data-pose")
+
+    def show() -> None:
+        nothing.set_visibility(live.state is None)
+        nothing.text = (
+            "The first pose comes in some seconds ..."
+            if live.goes_on
+            else "The state of each body and its pose come here."
+        )
+        poses.set_visibility(live.state is not None)
+        if live.state is not None:
+            shown = zip(live.rests, live.state.latest, strict=True)
+            poses.set_content("".join(_pose(name, one, live.age()) for name, one in shown))
+        put(poses, "old", bool(live.age()))
+
+    ui.timer(0.3, show)
+    told(lambda: _pace(live.state) if live.state else "", "hint")
+    with ui.row().classes("line"):
+        columns = [
+            {"name": name, "label": name, "field": name, "align": "left"} for name in _REST_COLUMNS
+        ]
+        rests = ui.table(rows=[], columns=columns).props("flat dense wrap-cells").classes("rests")
+        told(lambda: "\n".join(_event_lines(live.run)) if live.run else "", mark="data-events")
+
+    async def settle() -> None:
+        rests.rows = await tried(lambda: _rest_rows(live)) or []
+        rests.set_visibility(bool(rests.rows))
+
+    ui.timer(2.0, settle)
+
+
+def _pose(name: str, measured: api.Measurement, age: str) -> str:
+    """A body's state and pose as HTML: a pose that is not believed is grey, its ± struck out."""
+    word, kind = _WORDS.get(measured.status.value, ("LOST", "wrong"))
+    if age:
+        word, age = "OLD", f"was {word}; {age}"
+    reason = escape(plain(measured.reason))
+    figures = f'<div class="lines">{reason}</div>' if reason else ""
+    if (pose := measured.pose) is not None:
+        x, y, z = pose.world_from_body.translation
+        a, b, c = np.degrees(pose.world_from_body.rotvec)
+        sd = "span" if measured.status.value == "ok" else "s"
+        figures = (
+            f'<div class="figure">x {x:.2f}  y {y:.2f}  z {z:.2f}  '
+            f"<{sd}>± {pose.position_sd_mm:.3f} mm</{sd}>\n"
+            f"turned {a:.2f}  {b:.2f}  {c:.2f}  <{sd}>± {pose.rotation_sd_deg:.3f} deg</{sd}>"
+            f"</div>{figures}"
+        )
+    state = f'<span class="state {kind}">{word}</span>'
+    old = f'<span class="age">{escape(age)}</span>' if age else ""
+    return (
+        f'<div class="pose {measured.status.value}" data-state="{word}">'
+        f'{state}<span class="whose">{escape(name)}</span>{old}{figures}</div>'
+    )
+
+
+def _event_lines(run: Path) -> list[str]:
+    lines = [
+        f"{number}. {what} at {datetime.fromtimestamp(time_s):%H:%M:%S.%f}"[:-4]
+        for number, (time_s, what) in enumerate(api.events(run), 1)
+    ]
+    return lines[-_LISTED:]
+
+
+def _pace(state: studio_api.LiveState) -> str:
+    lines = [f"{', '.join(state.away)} away"] if state.away else []
+    pace = f"{state.frame_sets} frame sets, {state.rate_hz:.1f} per s"
+    return "; ".join([*lines, f"{pace}, known after {1e3 * state.age_s:.0f} ms"])
+
+
+def _rest_rows(live: _Live) -> list[dict[str, Any]]:
+    rows = []
+    for name, body in live.rests.items():
+        found = body.find()
+        for number, rest in list(enumerate(found.rests))[-_LISTED:]:
+            place = " ".join(f"{value:.2f}" for value in rest.world_from_body.translation)
+            move = found.displacement(0, number)
+            far = f"{move.distance_mm:.3f} ± {move.distance_sd_mm:.3f}" if number else ""
+            rows.append(dict(zip(_REST_COLUMNS, (name, number, place, far), strict=True)))
+    return rows
+
+
+def _afterwards(bench: Bench, live: _Live) -> None:
+    """What can be made of the run, or of the recording."""
+    with ui.row().classes("line"):
+        report = ui.link("Open the report", "", new_tab=True).classes("act primary")
+        act("Check the recording", "rule", live.check).bind_visibility_from(live, "session", bool)
+        compare = act("Compare with the truth", "compare", live.evaluate)
+
+    def show() -> None:
+        if live.report is not None:
+            report.props(f'href="/file/{live.report.relative_to(bench.folder)}"')
+        report.set_visibility(live.report is not None and not bench.busy)
+        compare.set_visibility(live.truth is not None)
+
+    ui.timer(0.5, show)
+
+
+def _show_viewer(frame: ui.element, query: str) -> None:
+    """The viewer of the run that goes on, as it is served to this machine."""
+    frame.set_visibility(bool(query))
+    if query not in frame.props.get("src", "?"):
+        frame.props(f'src="/viewer/?{query}"')
+
+
+def _camera_line(bench: Bench, name: str) -> str:
+    count = bench.now[name].count if name in bench.now else None
+    problem = bench.problem(name)
+    rate = "" if count is None else f"{count.pictures} pictures, {count.rate_hz:.1f} per s"
+    return problem if name in problem else f"{name}: {problem or rate}"

@@ -1,0 +1,160 @@
+"""World: where the origin is and how the axes lie, by a board or a body at rest, or by markers."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from nicegui import run, ui
+
+from measure import api
+from measure.errors import ConfigError, MeasureError
+from measure_lab import api as lab
+from measure_studio import api as studio_api
+from measure_studio.page import drawings, overlays
+from measure_studio.page.bench import CALIBRATION, Bench, Job
+from measure_studio.page.layout import (
+    act,
+    camera_pictures,
+    choice,
+    chosen,
+    details,
+    intro,
+    page,
+    told,
+)
+from measure_studio.page.steps import STEPS, step_of
+from measure_studio.page.words import plain
+
+_LOOK_S = 1.0  # Between two looks for the board, at least
+_LOOK_SHARE = 0.3  # Share of one core that looking may take: a chessboard takes seconds
+_AXIS_MM = 100.0  # Of the axes that are drawn, where the board has no squares
+_REST_S, _REST_POSES = 2.0, 10  # How long, and how often, a body at rest is measured at least
+
+
+@dataclass
+class _World:
+    """What is asked for, and where the board is seen; it outlives the browser's page."""
+
+    bench: Bench
+    place: api.RigidTransform | None = None  # Of the board in the world, in the newest pictures
+    unseen: str = ""  # Why it is in no picture
+    rests_until_s: float = 0.0  # Before which nobody looks again
+
+    def calibration(self) -> api.Calibration:
+        """The calibration whose world is moved; ConfigError if there is none yet."""
+        if self.bench.calibration is None:
+            raise ConfigError("calibrate the cameras first: step 2 makes what is moved here")
+        return self.bench.calibration
+
+    def look(self) -> None:
+        """Look for the board in the newest pictures, unless there is other work to do."""
+        bench, begun_s = self.bench, time.monotonic()
+        if bench.calibration is None or bench.busy or begun_s < self.rests_until_s:
+            return
+        try:
+            newest = bench.preview.pixels(bench.names)
+            place = lab.world_by_board(bench.calibration, bench.target(), newest)[1]
+            self.place, self.unseen = place.transform, ""
+        except MeasureError as problem:
+            self.place, self.unseen = None, plain(str(problem), bench.folder)
+        took_s = time.monotonic() - begun_s
+        self.rests_until_s = begun_s + took_s / _LOOK_SHARE
+
+    def by_board(self) -> None:
+        """Put the world where the board lies now."""
+        bench, given = self.bench, self.calibration()
+
+        def work(_: Job) -> str:
+            newest = bench.preview.pixels(bench.names)
+            moved, _place = lab.world_by_board(given, bench.target(), newest)
+            api.write_calibration(bench.folder / CALIBRATION, moved)
+            return f"{CALIBRATION}: the world is where the board lies, z up from the paper"
+
+        bench.begin("moving the world", work)
+
+    def by_body(self, body: Path | None) -> None:
+        """Put the world where a body rests now: it is measured for some seconds."""
+        self.calibration()
+        if body is None:
+            raise ConfigError("choose the body that lies at rest")
+        bench, out = self.bench, self.bench.folder / CALIBRATION
+        cameras, run = bench.addresses(), bench.folder / api.next_free(bench.folder, "world")
+        times_s: list[float] = []
+
+        def work(job: Job) -> str:
+            def hear(state: studio_api.LiveState) -> None:
+                job.lasts(_REST_S)
+                times_s.append(state.latest[0].time_s)
+                if len(times_s) >= _REST_POSES and times_s[-1] - times_s[0] > _REST_S:
+                    job.stop.set()
+
+            made = studio_api.LiveOptions(
+                stop=job.stop, request=bench.request, on_image=bench.preview.add
+            )
+            profile = api.load_profile()
+            studio_api.live(cameras, run, out, [body], profile, bench.registry, made, hear)
+            api.write_calibration(out, lab.world(out, run)[0])
+            return f"{CALIBRATION}: the world is the frame of {body.name}, as it lay"
+
+        bench.begin("measuring the body at rest", work, needs_cameras=True)
+
+    def said(self) -> str:
+        """What the pictures show."""
+        if self.bench.calibration is None:
+            return "There is no calibration yet: step 2 makes the one that is moved here."
+        if self.place is not None:
+            return "The board is seen: the thin axes show where the world will be."
+        if STEPS[step_of("/world")].is_done(self.bench):
+            return "The axes show where the world is. Lay the board elsewhere to move it."
+        return f"The board is not seen yet: {self.unseen}" if self.unseen else "looking ..."
+
+    def drawn_over(self, name: str) -> str:
+        """The world's axes as a camera sees them, and thinner those of the board that is seen."""
+        known, facts = self.bench.calibration, self.bench.preview.facts(name)
+        if known is None or facts is None or name not in known.names:
+            return ""
+        camera, parts = known.camera(name), list[str]()
+        squares, square_mm = api.board_length(self.bench.target())
+        length_mm = squares * square_mm / 3 or _AXIS_MM
+        if STEPS[step_of("/world")].is_done(self.bench):
+            parts.append(overlays.axes(camera, api.RigidTransform.identity(), length_mm))
+        if self.place is not None:
+            seen = overlays.axes(camera, self.place, length_mm)
+            parts.append(f'<g class="proposed">{seen}</g>')
+        return overlays.over(facts.size_wh, *parts)
+
+
+def add(bench: Bench) -> None:
+    """Add the page."""
+    world = _World(bench)
+
+    @ui.page("/world")
+    def page_of_world() -> None:
+        with page(bench, "/world"):
+            intro(
+                "Lay the board where the world is to begin, where cameras see it, and let go of "
+                "it: its corner becomes the origin, z points up from the paper.",
+                drawings.axes_on_board(),
+            )
+            with ui.row().classes("line"):
+                act("The world is where the board lies", "my_location", world.by_board, True)
+                told(world.said, "hint")
+            camera_pictures(bench, str, world.drawn_over)
+            _others(bench, world)
+        ui.timer(_LOOK_S, partial(run.io_bound, world.look))
+
+
+def _others(bench: Bench, world: _World) -> None:
+    """Other ways to a world."""
+    with details("Other ways: a body at rest, or markers at known places"):
+        with ui.row().classes("line"):
+            body = choice("Body at rest", bench, api.contents_of(bench.folder).bodies)
+            act(
+                "The world is the body's frame",
+                "my_location",
+                lambda: world.by_body(next(iter(chosen(bench, body)), None)),
+            )
+        ui.link("Markers at known places: click them in pictures", "/marks").classes("act")
