@@ -24,10 +24,11 @@ import numpy as np
 
 from benchmarks.command import run_command
 from measure.arrays import Floats
-from measure.host import Correction, OnnxModel
+from measure.host import Correction
 from measure_learning import api
 from measure_learning.core import EstimateClient, EstimateServer, StatePacket
 from measure_learning.core.datagrams import claim_realtime
+from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import simulate
 
 BLOCKS, BLOCK = 10, 1000

@@ -19,10 +19,11 @@ import numpy as np
 from benchmarks.command import run_command
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.host import Dataset, OnnxModel
+from measure.host import Dataset
 from measure_learning import api
 from measure_learning.core import DriftMonitor, simulated_dataset
 from measure_learning.core.offline import rezero
+from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import Cables
 
 MINUTES, FIRST_S = 3.0, 60.0

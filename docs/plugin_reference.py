@@ -21,6 +21,7 @@ PACKAGES = (
     "measure.geometry",
     "measure.estimation",
     "measure.testing",
+    "measure_learning.onnx",
 )
 HEAD = """# Reference for plugin authors
 

@@ -18,11 +18,7 @@ from measure.host.interfaces import (
     SelfCalibratingDetector,
     Triangulator,
 )
-from measure.host.judging import Scaling
 from measure.host.names import plain_name, plain_names
-from measure.host.onnx_estimator import Core, OnnxEstimator
-from measure.host.onnx_graph import Graph, Value, seal
-from measure.host.onnx_model import Estimates, OnnxModel
 from measure.host.registry import Broken, Distribution, Loaded, Registry, discover
 from measure.host.settings import Setting, Settings, describe_settings, setting
 from measure.host.sink import EventMark, SentPose, SentRun, Sink, host_port
@@ -30,10 +26,9 @@ from measure.host.tracker import Conclusion, Review, Tracker
 from measure.processes import needed
 
 __all__ = [
-    "ENTRY_POINT_GROUP", "Broken", "Conclusion", "Core", "Correction", "Dataset", "Detector",
-    "Distribution", "Epoch", "Estimates", "Estimator", "EventMark", "Graph", "LeftOut", "Loaded",
-    "OnnxEstimator", "OnnxModel", "Plugin", "PoseSolver", "RecordingLeftOut", "Registry", "Report",
-    "Review", "Scaling", "SelfCalibratingDetector", "SentPose", "SentRun", "Setting", "Settings",
-    "Sink", "Tracker", "Triangulator", "Value", "describe_settings", "discover", "hookimpl",
-    "host_port", "needed", "plain_name", "plain_names", "quiet", "seal", "setting",
+    "ENTRY_POINT_GROUP", "Broken", "Conclusion", "Correction", "Dataset", "Detector",
+    "Distribution", "Epoch", "Estimator", "EventMark", "LeftOut", "Loaded", "Plugin", "PoseSolver",
+    "RecordingLeftOut", "Registry", "Report", "Review", "SelfCalibratingDetector", "SentPose",
+    "SentRun", "Setting", "Settings", "Sink", "Tracker", "Triangulator", "describe_settings",
+    "discover", "hookimpl", "host_port", "needed", "plain_name", "plain_names", "quiet", "setting",
 ]  # fmt: skip

@@ -6,9 +6,10 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 from measure.arrays import Floats
+from measure.errors import PluginError
 from measure.host.dataset import Dataset
 from measure.host.interfaces import Plugin
 from measure.host.settings import Settings
@@ -82,6 +83,13 @@ class Estimator(Plugin):
     def __init__(self, config: Settings) -> None:
         self.config = config
 
+    def after(self, first: Estimator) -> Self:
+        """Learn what `first` leaves, which learns before, from the same; PluginError: it cannot."""
+        raise PluginError(
+            f"estimator '{self.name}' cannot learn what '{first.name}' leaves: both must be "
+            "OnnxEstimators"
+        )
+
     @abstractmethod
     def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Learn from `data`; choose and stop, and judge the covariance, by `validation`.
@@ -97,7 +105,7 @@ class Estimator(Plugin):
 
     @abstractmethod
     def save(self, path: Path, card: Mapping[str, Any]) -> None:
-        """Write one ONNX file, which `measure.host.OnnxModel` can run.
+        """Write one ONNX file, which `measure_learning.onnx.OnnxModel` can run.
 
         Args:
             card: what to store beside the network: training data, scores, revision.

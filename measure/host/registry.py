@@ -18,8 +18,8 @@ import pluggy
 
 from measure.errors import MeasureError, PluginError
 from measure.host import hooks
+from measure.host.estimator import Estimator
 from measure.host.interfaces import NAME, Plugin
-from measure.host.onnx_estimator import OnnxEstimator
 from measure.host.settings import Settings, read_settings
 
 P = TypeVar("P", bound=Plugin)
@@ -257,11 +257,9 @@ class Registry:
         last, after, first = name.partition(" after ")
         if after:
             built, before = self.build(interface, last, settings), self.build(interface, first, {})
-            if isinstance(built, OnnxEstimator) and isinstance(before, OnnxEstimator):
+            if isinstance(built, Estimator) and isinstance(before, Estimator):
                 return built.after(before)
-            raise PluginError(
-                f"{kind} '{last}' cannot learn what '{first}' leaves: both must be OnnxEstimators"
-            )
+            raise PluginError(f"{kind} '{last}' cannot learn what '{first}' leaves")
         loaded = self.find(kind, name)
         config = read_settings(loaded.plugin.Config, settings, f"{kind} '{name}'")
         plugin: Any = loaded.plugin

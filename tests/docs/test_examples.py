@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from measure.host import OnnxModel
 from measure_learning.api import shipped_model
+from measure_learning.onnx import OnnxModel
 from tests.docs.pages import ROOT
 
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))

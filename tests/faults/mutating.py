@@ -223,7 +223,7 @@ def resealed(path: Path, draw: random.Random) -> str:
     """An ONNX file whose metadata say something else, and whose checksum is right all the same."""
     import onnx
 
-    from measure.host.onnx_graph import seal
+    from measure_learning.onnx.graph import seal
 
     model = onnx.load_from_string(path.read_bytes())
     kept = {one.key: one.value for one in model.metadata_props if one.key != "sha256"}

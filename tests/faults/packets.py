@@ -26,9 +26,10 @@ import numpy as np
 
 from benchmarks.online import time_round_trips
 from measure.arrays import Floats
-from measure.host import Correction, OnnxModel
+from measure.host import Correction
 from measure_learning.api import shipped_model
 from measure_learning.core import AnswerPacket, EstimateClient, EstimateServer, StatePacket
+from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import simulate
 
 FOREIGN_PORTS = range(50_000, 50_020)

@@ -7,11 +7,12 @@ import socket
 import numpy as np
 import pytest
 
-from measure.host import Correction, OnnxModel
+from measure.host import Correction
 from measure_learning.api import shipped_model
 from measure_learning.core import AnswerPacket, EstimateClient, EstimateServer, StatePacket
 from measure_learning.core.datagrams import Lanes
 from measure_learning.core.server import MOST_SENDERS
+from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import simulate
 from tests.faults.packets import KINDS, difference_mm, flood_of
 

@@ -14,10 +14,11 @@ from benchmarks.registration import ur5e
 from benchmarks.stiff_arm import recording
 from measure.cli import main
 from measure.errors import EstimatorError, PluginError
-from measure.host import Dataset, Estimator, OnnxEstimator, OnnxModel, Registry
+from measure.host import Dataset, Estimator, Registry
 from measure.host.estimator import quiet
 from measure_learning.core import EstimateServer, StatePacket, TruePacket, evaluate, files, join
 from measure_learning.core.datagrams import AnswerPacket
+from measure_learning.onnx import OnnxEstimator, OnnxModel
 from tests.strangers import Install
 
 FEW = {"play_widths": 2}

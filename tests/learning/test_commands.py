@@ -11,8 +11,8 @@ import pytest
 
 from measure.cli import main
 from measure.host import Dataset
-from measure.host.onnx_model import OnnxModel
 from measure_learning.core import files
+from measure_learning.onnx.model import OnnxModel
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from measure.errors import DivergedError, EstimatorError
-from measure.host import Estimator, OnnxModel, Registry
+from measure.host import Estimator, Registry
 from measure.host.estimator import quiet
 from measure.robots import Reading, StateSchema
 from measure_learning.core import Score, Split, evaluate
+from measure_learning.onnx import OnnxModel
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from measure.cli import main
-from measure.host import Correction, Estimator, OnnxModel, Registry
+from measure.host import Correction, Estimator, Registry
 from measure.host.estimator import quiet
 from measure_learning.core import EstimateServer, OffsetFollower, Refusal, Split, TruePacket
 from measure_learning.core.datagrams import AnswerPacket, StatePacket
+from measure_learning.onnx import OnnxModel
 from measure_learning.robots import find_schema
 from measure_learning.robots.tables import Table
 

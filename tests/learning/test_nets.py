@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from measure.host import Dataset, Graph, OnnxModel
+from measure.host import Dataset
 from measure.host.estimator import quiet
 from measure_learning.core import Split
 from measure_learning.estimators import _nets, _training, mlp
 from measure_learning.estimators._kinematics import TorchTip, tip_change
 from measure_learning.estimators._play import PlayBank
 from measure_learning.estimators.stream import StreamEstimator, StreamSettings
+from measure_learning.onnx import Graph, OnnxModel
 from measure_learning.robots import find_schema
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.online import time_round_trips
 from measure.errors import EstimatorError
-from measure.host import Correction, Estimator, OnnxModel, Registry
+from measure.host import Correction, Estimator, Registry
 from measure.host.estimator import quiet
 from measure_learning.core import (
     AnswerPacket,
@@ -26,6 +26,7 @@ from measure_learning.core import (
     read_states,
 )
 from measure_learning.core.server import SILENT_S
+from measure_learning.onnx import OnnxModel
 from measure_learning.robots import tables
 from measure_learning.robots.tables import Table
 

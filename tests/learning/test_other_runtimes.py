@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from measure.host import Dataset, Estimator, OnnxModel, Registry
+from measure.host import Dataset, Estimator, Registry
 from measure.host.estimator import quiet
 from measure_learning.core import EstimateServer
+from measure_learning.onnx import OnnxModel
 from measure_learning.robots import find_schema
 
 onnx = pytest.importorskip("onnx", reason="fitting needs the extra 'train'")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from measure.errors import EstimatorError
-from measure.host import Dataset, OnnxModel
+from measure.host import Dataset
 from measure_learning import api
 from measure_learning.core import (
     PAPER_MINUTES,
@@ -16,6 +16,7 @@ from measure_learning.core import (
     rezero,
     simulated_dataset,
 )
+from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import Cables
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from measure.api.outputs import check_file
 from measure.arrays import Floats, Ints
 from measure.errors import ConfigError, EstimatorError
-from measure.host import OnnxModel
 from measure.results import Run, read_run
 from measure.session import open_session
 from measure_learning.api.pairing import read_tracks
+from measure_learning.onnx import OnnxModel
 from measure_learning.robots import find_schema
 
 if TYPE_CHECKING:

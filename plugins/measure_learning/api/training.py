@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from measure.api.outputs import check_file, output
 from measure.api.profiles import parse_value
 from measure.errors import ConfigError, EstimatorError
-from measure.host import Estimator, OnnxModel, Registry, Report
+from measure.host import Estimator, Registry, Report
+from measure_learning.onnx import OnnxModel
 
 if TYPE_CHECKING:
     from measure_learning.core import Importance, Split, SweepState, Trained

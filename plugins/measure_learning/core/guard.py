@@ -9,8 +9,9 @@ from enum import StrEnum
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Correction, OnnxModel
+from measure.host import Correction
 from measure_learning.core.offsets import OffsetFollower, Zeroing
+from measure_learning.onnx import OnnxModel
 
 _MAX_REORDERED = 100  # Largest number of packets by which a network brings one late
 _MAX_LOST_IN_A_ROW = 1_000_000

@@ -14,7 +14,7 @@ from pyarrow import csv, parquet
 
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
-from measure.host import Correction, Dataset, OnnxModel
+from measure.host import Correction, Dataset
 from measure.reading import candidates, time_columns
 from measure.robots import StateSchema
 from measure.robots.schema import FeatureColumns
@@ -23,6 +23,7 @@ from measure_learning.core.assemble import AssemblySettings, PoseTrack, assemble
 from measure_learning.core.files import covariance_columns
 from measure_learning.core.guard import GuardedModel
 from measure_learning.core.labels import Paired, chain_doubt, check_units, not_the_robot
+from measure_learning.onnx import OnnxModel
 from measure_learning.robots import LogFile, check_robot, feature_columns, is_table, log_pieces
 from measure_learning.robots.log_clock import Clock
 from measure_learning.robots.tables import TableFile

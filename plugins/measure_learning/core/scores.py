@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Dataset, Estimates, Estimator, OnnxModel, Report
+from measure.host import Dataset, Estimator, Report
 from measure.host.estimator import quiet
 from measure_learning.core.fitting import fit
 from measure_learning.core.splits import Split
+from measure_learning.onnx import Estimates, OnnxModel
 
 SPEED_EDGES_MM_S = (0.0, 5.0, 15.0, 30.0, 60.0, np.inf)
 

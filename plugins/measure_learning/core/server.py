@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Correction, OnnxModel
+from measure.host import Correction
 from measure_learning.core.datagrams import (
     LARGEST,
     AnswerPacket,
@@ -24,6 +24,7 @@ from measure_learning.core.datagrams import (
 from measure_learning.core.guard import Counters, GuardedModel, Refusal, unfit
 from measure_learning.core.offline import follower_of
 from measure_learning.core.offsets import Zeroing
+from measure_learning.onnx import OnnxModel
 
 DEFAULT_ADDRESS = ("127.0.0.1", 47_118)
 MOST_SENDERS = 16  # Largest number of senders whose histories are kept

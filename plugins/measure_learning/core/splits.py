@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.errors import EstimatorError
-from measure.host import Dataset, OnnxModel
+from measure.host import Dataset
 from measure.host.dataset import recording_of
+from measure_learning.onnx import OnnxModel
 
 _MIN_RECORDINGS = 3  # from which on whole recordings are kept for validation and test
 

@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from measure.errors import EstimatorError
-from measure.host import Dataset, Epoch, Estimates, Estimator, LeftOut, OnnxModel, Report
-from measure.host.onnx_model import contract
+from measure.host import Dataset, Epoch, Estimator, LeftOut, Report
 from measure.host.registry import named
 from measure_learning.core.fitting import fit
 from measure_learning.core.scores import EstimatorEvaluation, evaluate, speed_range
 from measure_learning.core.splits import Split
+from measure_learning.onnx import Estimates, OnnxModel
+from measure_learning.onnx.model import contract
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Bools, Floats
-from measure.host import Dataset, Graph, OnnxEstimator, Value
+from measure.host import Dataset
+from measure_learning.onnx import Graph, OnnxEstimator, Value
 
 _MAX_BETWEEN_SHARE = 0.3  # Largest share of a feature's variance that may lie between trajectories
 

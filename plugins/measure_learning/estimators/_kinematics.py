@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Dataset, Graph, Value
+from measure.host import Dataset
 from measure.robots import SerialChain, StateSchema
+from measure_learning.onnx import Graph, Value
 
 
 def levers(data: Dataset) -> tuple[Floats, Floats]:

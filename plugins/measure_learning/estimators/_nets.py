@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Graph, Value
+from measure_learning.onnx import Graph, Value
 
 _GATES = ("from_input", "from_hidden", "input_bias", "hidden_bias")
 STEP_GAIN = 3.0  # scales differences between steps to the size of the other inputs

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Dataset, Graph, Value
+from measure.host import Dataset
 from measure.robots import StateSchema
+from measure_learning.onnx import Graph, Value
 
 _WHOLE = np.array([[1, 1], [1, -1]])
 _HALF = np.array([[1, 0.5], [1, -0.5], [0.5, 1], [-0.5, 1]])

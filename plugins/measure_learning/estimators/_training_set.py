@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.host import Dataset, Graph, Value
+from measure.host import Dataset
 from measure.host.dataset import recording_of
 from measure.robots import StateSchema
 from measure_learning.estimators._kinematics import TorchTip, levers, tip_error
+from measure_learning.onnx import Graph, Value
 
 _TURN_RAD, _SLIDE_MM = 0.05, 1.0  # joint errors (and of a tip) of an output of one
 _SOFT_MM2 = 0.25  # of the pseudo-Huber loss: quadratic below half a millimetre, linear above

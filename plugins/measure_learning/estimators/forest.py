@@ -10,6 +10,7 @@ from measure import host
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import align_points
+from measure_learning import onnx
 from measure_learning.estimators._inputs import WithinTrajectoryEstimator, informative_features
 
 
@@ -57,8 +58,8 @@ class ForestEstimator(WithinTrajectoryEstimator):
         report(1.0, "grown")
 
     def compute(
-        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
-    ) -> host.Core:
+        self, graph: onnx.Graph, features: onnx.Value, memory: onnx.Value, tick: onnx.Value
+    ) -> onnx.Core:
         """(rotation - 1) position + translation + forest."""
         position = graph.op("MatMul", features, self._schema_read)
         rigid = graph.affine(position, self._turn.T, self._shift)
@@ -71,7 +72,7 @@ class ForestEstimator(WithinTrajectoryEstimator):
             post_transform="NONE",
             **self._trees,
         )
-        return host.Core(graph.op("Add", rigid, rest))
+        return onnx.Core(graph.op("Add", rigid, rest))
 
 
 def _flatten(forest: Any) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from measure import host
 from measure.arrays import Floats, Ints
 from measure.geometry.covariance import MAD_TO_SD
+from measure_learning import onnx
 from measure_learning.estimators._inputs import WithinTrajectoryEstimator
 from measure_learning.estimators._kinematics import levers, tip_error, tip_slopes
 from measure_learning.estimators._play import PlayBank
@@ -93,7 +94,7 @@ class GpEstimator(WithinTrajectoryEstimator):
         c = self.config
         self._data_schema = data.schema
         self._reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
-        self._scaling = host.Scaling.of(data.states @ self._reading)
+        self._scaling = onnx.Scaling.of(data.states @ self._reading)
         self._bank = PlayBank.of(data, c.play_widths, _NARROWEST, _WIDEST)
         usable = np.flatnonzero(data.usable)
         self._mean = data.errors_mm[usable].mean(axis=0)
@@ -181,8 +182,8 @@ class GpEstimator(WithinTrajectoryEstimator):
         self._whitener = self._variance * inverse.T
 
     def compute(
-        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
-    ) -> host.Core:
+        self, graph: onnx.Graph, features: onnx.Value, memory: onnx.Value, tick: onnx.Value
+    ) -> onnx.Core:
         """Mean and variance of the process."""
         sizes = graph.constant([1, self._bank.size], np.int64)
         started, states = graph.ops("Split", 2, memory, sizes, axis=1)
@@ -207,7 +208,7 @@ class GpEstimator(WithinTrajectoryEstimator):
         unknown = graph.op("Sub", np.array([[self._variance]]), explained)
         variance = graph.op("Max", unknown, np.zeros((1, 1)))
         after = graph.op("Concat", graph.ones_like(started), states, axis=1)
-        return host.Core(mean, after, variance, self.memory_size)
+        return onnx.Core(mean, after, variance, self.memory_size)
 
     @property
     def memory_size(self) -> int:

@@ -22,6 +22,7 @@ from measure.robots.chain import (
     usual_sd,
     with_link_errors,
 )
+from measure_learning import onnx
 from measure_learning.estimators._inputs import WithinTrajectoryEstimator
 from measure_learning.estimators._kinematics import chain_change
 
@@ -84,10 +85,10 @@ class KinematicEstimator(WithinTrajectoryEstimator):
         self.findings = self._said(chain, x, found)
 
     def compute(
-        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
-    ) -> host.Core:
+        self, graph: onnx.Graph, features: onnx.Value, memory: onnx.Value, tick: onnx.Value
+    ) -> onnx.Core:
         """Tip of the calibrated chain minus that of the nominal one."""
-        return host.Core(chain_change(graph, self._data_schema, features, self._chain))
+        return onnx.Core(chain_change(graph, self._data_schema, features, self._chain))
 
     def _said(self, chain: SerialChain, x: Floats, found: LinkEffects) -> tuple[str, ...]:
         scale = np.where(np.resize(TURNS, len(x) - 3), np.degrees(1.0), 1.0)

@@ -9,6 +9,7 @@ from pydantic import field_validator
 
 from measure import host
 from measure.arrays import Floats
+from measure_learning import onnx
 from measure_learning.estimators._checkpoint import Checkpoint
 from measure_learning.estimators._nets import array_of
 from measure_learning.estimators._training import torch_or_explain
@@ -43,7 +44,7 @@ class MlpSettings(host.Settings):
         return layers
 
 
-class MlpEstimator(host.OnnxEstimator):
+class MlpEstimator(onnx.OnnxEstimator):
     """The paper's perceptron: three sigmoid layers with batch normalisation, L1 and Adam."""
 
     name = "mlp"
@@ -57,7 +58,7 @@ class MlpEstimator(host.OnnxEstimator):
         """Train with early stopping; the best epoch on the validation trajectories is kept."""
         torch = torch_or_explain()
         c = self.config
-        self._scaling = host.Scaling.of(data.states)
+        self._scaling = onnx.Scaling.of(data.states)
         other = _tensors(torch, validation, self._scaling)
         fit = _MlpTraining(torch, _tensors(torch, data, self._scaling), c, seed)
         key = seed, c.model_dump(mode="json"), data.digest(), validation.digest()
@@ -73,15 +74,15 @@ class MlpEstimator(host.OnnxEstimator):
         self._layers = _fold(fit.best_net())
 
     def compute(
-        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
-    ) -> host.Core:
+        self, graph: onnx.Graph, features: onnx.Value, memory: onnx.Value, tick: onnx.Value
+    ) -> onnx.Core:
         """Dense layers; batch normalisation is folded into them."""
         x = self._scaling.in_graph(graph, features)
         for index, (weight, bias) in enumerate(self._layers):
             x = graph.op("Gemm", x, weight, bias)
             if index < len(self._layers) - 1:
                 x = graph.op("Sigmoid", x)
-        return host.Core(x)
+        return onnx.Core(x)
 
 
 def _network(torch: Any, inputs: int, config: MlpSettings) -> Any:
@@ -92,7 +93,7 @@ def _network(torch: Any, inputs: int, config: MlpSettings) -> Any:
     return torch.nn.Sequential(*parts, torch.nn.Linear(width, 3))
 
 
-def _tensors(torch: Any, data: host.Dataset, scaling: host.Scaling) -> tuple[Any, Any, Any]:
+def _tensors(torch: Any, data: host.Dataset, scaling: onnx.Scaling) -> tuple[Any, Any, Any]:
     used = data.usable
     return tuple(
         torch.tensor(values[used], dtype=torch.float32)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.host import Core, Dataset, Estimator, Graph, Report, Settings, Value, hookimpl
+from measure.host import Dataset, Estimator, Report, Settings, hookimpl
 from measure_learning.estimators._inputs import WithinTrajectoryEstimator
+from measure_learning.onnx import Core, Graph, Value
 
 
 class OffsetEstimator(WithinTrajectoryEstimator):

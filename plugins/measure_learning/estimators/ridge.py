@@ -8,6 +8,7 @@ import numpy as np
 
 from measure import host
 from measure.arrays import Floats
+from measure_learning import onnx
 from measure_learning.estimators._inputs import (
     StateWindow,
     WithinTrajectoryEstimator,
@@ -45,7 +46,7 @@ class RidgeEstimator(WithinTrajectoryEstimator):
         """Solve the normal equations."""
         self._data_schema = data.schema
         self._columns = informative_features(data)
-        self._scaling = host.Scaling.of(data.states[:, self._columns])
+        self._scaling = onnx.Scaling.of(data.states[:, self._columns])
         self._bank = PlayBank.of(data, self.config.play_widths, 0.01, 0.2)
         self._window = StateWindow(len(self._columns), self.config.window)
         inputs = self._inputs(data)
@@ -66,8 +67,8 @@ class RidgeEstimator(WithinTrajectoryEstimator):
         return pose
 
     def compute(
-        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
-    ) -> host.Core:
+        self, graph: onnx.Graph, features: onnx.Value, memory: onnx.Value, tick: onnx.Value
+    ) -> onnx.Core:
         """One matrix product on the chosen features."""
         pose = self._scaling.in_graph(graph, graph.columns(features, self._columns))
         inputs, after, size = pose, None, 0
@@ -83,7 +84,7 @@ class RidgeEstimator(WithinTrajectoryEstimator):
             size = 1 + self._bank.size
         outputs = graph.affine(inputs, self._weight[:-1], self._weight[-1:])
         error = tip_error(graph, self._data_schema, features, outputs)
-        return host.Core(error, after, memory_size=size)
+        return onnx.Core(error, after, memory_size=size)
 
 
 def _fit_outputs(

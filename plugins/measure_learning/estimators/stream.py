@@ -10,6 +10,7 @@ import numpy as np
 
 from measure import host
 from measure.arrays import Floats
+from measure_learning import onnx
 from measure_learning.estimators import _nets
 from measure_learning.estimators._checkpoint import Checkpoint
 from measure_learning.estimators._inputs import WithinTrajectoryEstimator, informative_features
@@ -98,7 +99,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         self._data_schema = data.schema
         self._digests = data.digest(), validation.digest()
         self._columns = informative_features(data)
-        self._scaling = host.Scaling.of(data.states[:, self._columns])
+        self._scaling = onnx.Scaling.of(data.states[:, self._columns])
         self._moving = self._moving_inputs()
         self._bank = PlayBank.of(data, c.play_widths, c.narrowest, c.widest, halves=True)
         self._outputs = OutputUnits.of(data)
@@ -169,8 +170,8 @@ class StreamEstimator(WithinTrajectoryEstimator):
         return net
 
     def compute(
-        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
-    ) -> host.Core:
+        self, graph: onnx.Graph, features: onnx.Value, memory: onnx.Value, tick: onnx.Value
+    ) -> onnx.Core:
         """The nets, averaged with the process; the memory of the process stands last."""
         if (process := self._process) is None:
             return self._nets(graph, features, memory, tick)
@@ -188,11 +189,11 @@ class StreamEstimator(WithinTrajectoryEstimator):
         spread = graph.op("MatMul", variances, weights)
         memories = [part.memory for part in (nets, other) if part.memory is not None]
         memory = graph.op("Concat", *memories, axis=1)
-        return host.Core(error, memory, spread, sum(kept))
+        return onnx.Core(error, memory, spread, sum(kept))
 
     def _nets(
-        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
-    ) -> host.Core:
+        self, graph: onnx.Graph, features: onnx.Value, memory: onnx.Value, tick: onnx.Value
+    ) -> onnx.Core:
         """Memory: a started flag, play states, hidden states, moving inputs of the last tick."""
         sizes = graph.constant(self._widths(), np.int64)
         started, states, before, last = graph.ops("Split", 4, memory, sizes, axis=1)
@@ -217,7 +218,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         )
         kept = graph.op("Concat", begun, states, slow, axis=1)
         error = self._outputs.error_in_graph(graph, self._data_schema, features, mean)
-        return host.Core(error, kept, spread, sum(self._widths()))
+        return onnx.Core(error, kept, spread, sum(self._widths()))
 
     def _widths(self) -> list[int]:
         """Of the parts of the nets' memory."""

@@ -4,19 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.host import (
-    Core,
-    Dataset,
-    Estimator,
-    Graph,
-    OnnxEstimator,
-    Report,
-    Scaling,
-    Settings,
-    Value,
-    hookimpl,
-    setting,
-)
+from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
+from measure_learning.onnx import Core, Graph, OnnxEstimator, Scaling, Value
 
 
 class LinearSettings(Settings):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from measure.host.judging import DOUBTS, Judged, Trust
+from measure_learning.onnx.judging import DOUBTS, Judged, Trust
 
 ROWS = 40
 

@@ -1,7 +1,7 @@
 """Running a saved estimator: one ONNX file that holds normalisation, features, nets and state.
 
 What goes in and comes out is said by `contract`. Metadata, as JSON: `measure` and
-`card`; last a checksum, as `measure.host.seal` appends it. `measure` holds:
+`card`; last a checksum, as `measure_learning.onnx.seal` appends it. `measure` holds:
 
 - `format`: 1; `estimator`: its name; `settings`: as they were;
 - `robot`: its name; `features`: [name, unit] of each, in order;
@@ -29,10 +29,10 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host.dataset import Dataset
 from measure.host.estimator import Correction
-from measure.host.onnx_graph import is_intact
 from measure.host.settings import explain_validation
 from measure.reading import read_bytes
 from measure.robots import StateSchema
+from measure_learning.onnx.graph import is_intact
 
 FORMAT = 1
 _MAX_MEMORY = 1_000_000

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from measure.errors import EstimatorError
-from measure.host import OnnxModel
-from measure.host.onnx_graph import seal
-from measure.host.onnx_model import read_metadata
 from measure_learning.api import shipped_model
+from measure_learning.onnx import OnnxModel
+from measure_learning.onnx.graph import seal
+from measure_learning.onnx.model import read_metadata
 
 FACTS = OnnxModel.load(shipped_model()).facts
 

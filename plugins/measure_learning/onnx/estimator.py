@@ -15,11 +15,19 @@ from measure.arrays import Floats
 from measure.errors import DivergedError, EstimatorError
 from measure.host.dataset import Dataset, recording_of
 from measure.host.estimator import Correction, Estimator, LeftOut, Report, quiet
-from measure.host.judging import DOUBTS, UNJUDGED, Judged, Novelty, Travel, Trust, doubts_in_graph
-from measure.host.onnx_graph import Graph, Value
-from measure.host.onnx_model import FORMAT, OnnxModel, contract
 from measure.host.settings import Settings
 from measure.robots import StateSchema
+from measure_learning.onnx.graph import Graph, Value
+from measure_learning.onnx.judging import (
+    DOUBTS,
+    UNJUDGED,
+    Judged,
+    Novelty,
+    Travel,
+    Trust,
+    doubts_in_graph,
+)
+from measure_learning.onnx.model import FORMAT, OnnxModel, contract
 
 _MAX_CORRECTION_MM = 1e6  # larger corrections mean a diverged fit
 _MIN_LABELS = 10
@@ -79,8 +87,10 @@ class OnnxEstimator(Estimator):
         """Settings of the fits that leave recordings out; they may be those of a cheaper fit."""
         return self.config
 
-    def after(self, first: OnnxEstimator) -> Self:
+    def after(self, first: Estimator) -> Self:
         """Learn what `first` leaves, which learns before, from the same; both are one graph."""
+        if not isinstance(first, OnnxEstimator):
+            return super().after(first)
         self.name = f"{self.name} after {first.name}"  # type: ignore[misc]  # of this pair alone
         self.first, self.memoryless = first, self.memoryless and first.memoryless
         return self
@@ -228,7 +238,7 @@ class OnnxEstimator(Estimator):
         )
 
     def _facts(self, memory: int) -> dict[str, Any]:
-        """The metadata `measure`, see `measure.host.onnx_model`."""
+        """The metadata `measure`, see `measure_learning.onnx.model`."""
         assert self._schema is not None
         return {
             "format": FORMAT,

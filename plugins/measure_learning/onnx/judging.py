@@ -14,7 +14,7 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.host.dataset import Dataset
 from measure.host.estimator import RecordingLeftOut
-from measure.host.onnx_graph import Graph, Value
+from measure_learning.onnx.graph import Graph, Value
 
 _CLIP_SDS = 8.0  # scaled features are clipped to this many SDs
 _LIMITS = 1.2, 1.35, 1.5  # distances of which one is the limit; real arms err no more below 1.2

@@ -1,0 +1,8 @@
+"""Estimators as ONNX files: how one is built, judged, written and run."""
+
+from measure_learning.onnx.estimator import Core, OnnxEstimator
+from measure_learning.onnx.graph import Graph, Value, seal
+from measure_learning.onnx.judging import Scaling
+from measure_learning.onnx.model import Estimates, OnnxModel
+
+__all__ = ["Core", "Estimates", "Graph", "OnnxEstimator", "OnnxModel", "Scaling", "Value", "seal"]
