@@ -27,12 +27,12 @@ from typing import Any
 
 import numpy as np
 
-from measure import api
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Status
 from measure.model import Ball, BallColor, Body, Camera, Intrinsics, Pose
 from measure.results import Provenance, RunWriter
+from measure_studio import api as studio_api
 
 HOST = "127.0.0.1"
 # Streams of LSL are looked for on this machine only.
@@ -320,8 +320,8 @@ def rows(schemes: Sequence[str], poses: int, rate_hz: float, stall_s: float) -> 
             begin_s = poses / rate_hz / 2
             args = (where, begin_s, stall_s, over)
             context.Process(target=_stall, args=args, daemon=True).start()
-        options = api.PlayOptions(send=tuple(addresses), wait_s=5.0)
-        end = api.play(run, Registry.discover(), options)
+        options = studio_api.PlayOptions(send=tuple(addresses), wait_s=5.0)
+        end = studio_api.play(run, Registry.discover(), options)
         time.sleep(2.0)
         over.set()
         (places,) = stored(run).values()

@@ -5,6 +5,7 @@ from measure.api.calibrating import (
     calibrate,
     calibrate_to,
     draw_target,
+    find_target,
     shipped_targets,
     write_measured_board,
 )
@@ -36,7 +37,6 @@ from measure.api.many import Outcome, run_many
 from measure.api.marking import MARK_KINDS, TAG_FAMILIES, Mark, Marking, MarkKind, begin_marks
 from measure.api.measuring import measure_bodies, measure_session
 from measure.api.outputs import new_folder, output
-from measure.api.playing import Pace, PlayEnd, PlayOptions, play
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.refining import BodySearch, FoundBody, RefineResult, find_body, refine
 from measure.api.results import body_names, compare, evaluate, export, report
@@ -45,7 +45,6 @@ from measure.api.synchronising import SyncedClock, sync
 from measure.calibration import Board, BoardWave, Corners, Verdict, WaveState, read_board
 from measure.calibration.boards import MirroredBoardError
 from measure.calibration.printing import Sheet, target_sheet
-from measure.calibration.waving import GOAL_MM
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile, relative_measurements
@@ -54,18 +53,18 @@ from measure.results.evaluation import evaluation_tables
 from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
 
 __all__ = [
-    "COLORS", "GOAL_MM", "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave",
-    "BodySearch", "Calibration", "CalibrationResult", "Camera", "Corners", "Demo", "FocalFrom",
-    "FoundBody", "Image", "Lens", "Mark", "MarkKind", "Marking", "Measurement",
-    "MirroredBoardError", "Outcome", "Pace", "Pipeline", "PlayEnd", "PlayOptions", "Profile",
-    "RefineResult", "Registry", "RigidTransform", "RunOptions", "Samples", "SeenPicture",
-    "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "begin_marks", "board_frame",
-    "board_length", "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose",
-    "compare", "contents_of", "demo", "described", "detect", "draw", "draw_target", "drawings",
-    "evaluate", "evaluation_tables", "events", "export", "find_body", "inside", "learnt_colors",
-    "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "next_free",
-    "output", "parse_click", "parse_expectation", "parse_images", "play", "profile_names",
-    "read_board", "read_body", "read_calibration", "refine", "relative_measurements", "render_demo",
-    "report", "run", "run_many", "sampled_color", "shipped_targets", "sync", "target_sheet",
-    "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
+    "COLORS", "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "BodySearch",
+    "Calibration", "CalibrationResult", "Camera", "Corners", "Demo", "FocalFrom", "FoundBody",
+    "Image", "Lens", "Mark", "MarkKind", "Marking", "Measurement", "MirroredBoardError", "Outcome",
+    "Pipeline", "Profile", "RefineResult", "Registry", "RigidTransform", "RunOptions", "Samples",
+    "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "begin_marks",
+    "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "calibrate_to",
+    "check", "choose", "compare", "contents_of", "demo", "described", "detect", "draw",
+    "draw_target", "drawings", "evaluate", "evaluation_tables", "events", "export", "find_body",
+    "find_target", "inside", "learnt_colors", "load_profile", "mark_event", "measure_bodies",
+    "measure_session", "new_folder", "next_free", "output", "parse_click", "parse_expectation",
+    "parse_images", "profile_names", "read_board", "read_body", "read_calibration", "refine",
+    "relative_measurements", "render_demo", "report", "run", "run_many", "sampled_color",
+    "shipped_targets", "sync", "target_sheet", "write_body", "write_calibration",
+    "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

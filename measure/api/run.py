@@ -108,7 +108,7 @@ def run(
 def _measured_before(runs: Sequence[Run], kept: int) -> Iterator[list[Measurement]]:
     """The measurements of the frame sets that a run keeps, for its recording; none of no run."""
     if runs:
-        from measure.api.playing import Reel
+        from measure.api.reel import Reel
 
         reel = Reel(runs)
         yield from (reel.measurements(number) for number in range(kept))

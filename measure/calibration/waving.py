@@ -21,7 +21,6 @@ from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Intrinsics
 
-GOAL_MM = 0.2  # Expected error of the body's position that is good enough
 _NEW_SHARE = 0.06  # Share of the diagonal by which a view differs from those that are kept
 _SLIP_PX = 0.5  # How far the board may move between the pictures of one instant
 _FAR_PX = 12.0  # Corners nearer to each other than this are found seldom, and badly
@@ -99,7 +98,7 @@ class BoardWave:
     board: Board
     sizes_wh: dict[str, tuple[int, int]]  # of the pictures, by camera
     body: Body  # that will be measured
-    goal_mm: float = GOAL_MM
+    goal_mm: float = 0.2  # expected error of the body's position that is good enough
     kept: list[dict[str, Corners]] = field(default_factory=list)
     _outlines: list[dict[str, Floats]] = field(default_factory=list)  # Of what is kept
     _poses: dict[str, list[tuple[float, float]]] = field(default_factory=dict)

@@ -248,19 +248,18 @@ NAMELESS = {
 """What writes, but reads no camera, body or ball of a file."""
 READS = {
     "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "camera_line",
-    "camera_names", "cameras", "check", "choose", "compare", "contents_of", "described",
-    "detect", "drawings",
-    "evaluate", "evaluation_tables", "events", "inside", "learnt_colors", "load_profile",
-    "measure_bodies", "measure_session", "model_file", "next_free", "parse_cameras",
+    "camera_names", "cameras", "check", "choose", "compare", "contents_of", "described", "detect",
+    "drawings", "evaluate", "evaluation_tables", "events", "find_target", "inside", "learnt_colors",
+    "load_profile", "measure_bodies", "measure_session", "model_file", "next_free", "parse_cameras",
     "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
-    "parse_size", "play", "play_cameras", "profile_names", "read_body", "read_calibration",
-    "register", "rests", "sampled_color", "shipped_model", "shipped_targets", "usb_notes",
-    "web_viewer",
+    "parse_size", "play", "play_cameras", "profile_names", "read_board", "read_body",
+    "read_calibration", "register", "relative_measurements", "rests", "sampled_color",
+    "shipped_model", "shipped_targets", "target_sheet", "usb_notes", "web_viewer",
 }  # fmt: skip
 
 
 def test_every_function_is_known_to_write_or_not() -> None:
-    rooms = api, learning_api, lab
+    rooms = api, studio_api, learning_api, lab
     known = {name: getattr(room, name) for room in rooms for name in room.__all__}
     functions = {name for name, one in known.items() if inspect.isfunction(one)}
     writers = {name for name in WRITES if inspect.isfunction(known[name])}

@@ -21,11 +21,11 @@ from rosbags.typesys import Stores, get_typestore
 from websockets.sync.client import connect
 
 from benchmarks.sinks import HOST, address, body, camera, free_port, measurement
-from measure.api.sending import SendOptions, open_sending, sent_pose
 from measure.cli import main
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentRun, Sink, plain_names
 from measure.model import Image
+from measure_studio.api.sending import SendOptions, open_sending, sent_pose
 from tests.receiving import wait_for
 
 
@@ -221,7 +221,7 @@ def _message_or_none(client):
 
 
 def test_a_port_that_is_taken_is_told_and_taken_when_it_is_free(monkeypatch):
-    monkeypatch.setattr("measure.api.sending._REOPEN_S", 0.05)
+    monkeypatch.setattr("measure_studio.api.sending._REOPEN_S", 0.05)
     where, lines = address("igtl"), []
     port = int(where.rpartition(":")[2])
     sending = open_sending(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.sinks import CLIENTS, address, write_run
-from measure.api import PlayOptions, play
 from measure.host import Registry
+from measure_studio.api import PlayOptions, play
 from tests.receiving import check_same, receiving, wait_for
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

@@ -13,9 +13,9 @@ from pythonosc.dispatcher import Dispatcher
 from pythonosc.osc_server import ThreadingOSCUDPServer
 
 from benchmarks.sinks import body, measurement
-from measure.api.sending import sent_pose
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentRun, Sink
+from measure_studio.api.sending import sent_pose
 
 RUN = SentRun("run", (body("tool"),), ())
 

@@ -4,6 +4,7 @@ from measure_studio.api.cameras import cameras
 from measure_studio.api.capturing import capture_board
 from measure_studio.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure_studio.api.marks import TYPED
+from measure_studio.api.playing import Pace, PlayEnd, PlayOptions, play
 from measure_studio.api.playing_cameras import CAMERA_PORT, camera_line, play_cameras
 from measure_studio.api.previewing import (
     BallWatch,
@@ -37,8 +38,8 @@ from measure_studio.capture import (
 __all__ = [
     "CAMERA_PORT", "DEMO_BOARDS", "TYPED", "BallWatch", "CameraAddress", "CameraCount", "CameraNow",
     "CaptureOptions", "CaptureRequest", "Control", "DeviceControls", "FoundCamera", "LiveEnd",
-    "LiveOptions", "LiveState", "Mode", "PictureFacts", "Preview", "RecordedSession",
-    "WatchedCamera", "camera_line", "camera_names", "cameras", "capture_board", "demo_cameras",
-    "live", "parse_cameras", "parse_controls", "parse_size", "play_cameras", "record", "usb_notes",
-    "web_viewer",
+    "LiveOptions", "LiveState", "Mode", "Pace", "PictureFacts", "PlayEnd", "PlayOptions", "Preview",
+    "RecordedSession", "WatchedCamera", "camera_line", "camera_names", "cameras", "capture_board",
+    "demo_cameras", "live", "parse_cameras", "parse_controls", "parse_size", "play", "play_cameras",
+    "record", "usb_notes", "web_viewer",
 ]  # fmt: skip

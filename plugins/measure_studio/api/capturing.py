@@ -14,16 +14,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from measure.api import (
-    GOAL_MM,
-    Board,
-    BoardWave,
-    Corners,
-    MirroredBoardError,
-    WaveState,
-    read_board,
-)
-from measure.api.calibrating import find_target
+from measure import api
 from measure.api.outputs import check_folder, new_folder
 from measure.arrays import Floats
 from measure.errors import ConfigError
@@ -46,10 +37,10 @@ def capture_board(
     options: CaptureOptions | None = None,
     *,
     body: Path | None = None,
-    goal_mm: float = GOAL_MM,
-    on_state: Callable[[WaveState], None] = lambda _: None,
+    goal_mm: float = 0.2,
+    on_state: Callable[[api.WaveState], None] = lambda _: None,
     on_corners: OnCorners = lambda _images, _corners: None,
-) -> WaveState | None:
+) -> api.WaveState | None:
     """Take pictures of a board that is waved, those that add something, until they are enough.
 
     Args:
@@ -74,22 +65,22 @@ def capture_board(
     if not (math.isfinite(goal_mm) and goal_mm > 0):
         raise ConfigError(f"--goal-mm {goal_mm:g}: expected a length in mm above 0")
     check_names(names)
-    target = find_target(Path(board))
-    pattern, measured = read_board(target), paper_body() if body is None else read_body(body)
+    target = api.find_target(Path(board))
+    pattern, measured = api.read_board(target), paper_body() if body is None else read_body(body)
     with open_rig(sources_of(cameras, [], options.request), [], options) as opened:
         with new_folder(out, options.overwrite, _MARK):
             _begin(out, target, names)
-        wave = BoardWave(pattern, {}, measured, goal_mm)
+        wave = api.BoardWave(pattern, {}, measured, goal_mm)
         return _wave(opened, wave, out, on_state, on_corners)
 
 
 def _wave(
     opened: OpenRig,
-    wave: BoardWave,
+    wave: api.BoardWave,
     out: Path,
-    on_state: Callable[[WaveState], None],
+    on_state: Callable[[api.WaveState], None],
     on_corners: OnCorners,
-) -> WaveState | None:
+) -> api.WaveState | None:
     """Gather pictures, and write those that the wave keeps."""
     state, rig = None, opened.cameras
     names = list(rig.addresses)
@@ -99,7 +90,7 @@ def _wave(
         for one in gathering.frame_sets(over, rig.check):
             images = [*one.images.values()]
             seen = dict(zip(one.images, pool.map(partial(_look, wave.board), images), strict=True))
-            views = {name: view for name, view in seen.items() if isinstance(view, Corners)}
+            views = {name: view for name, view in seen.items() if isinstance(view, api.Corners)}
             on_corners(images, {name: view.pixels for name, view in views.items()})
             wave.sizes_wh.update((i.camera, i.pixels.shape[1::-1]) for i in images)
             times_s = {image.camera: image.time_s for image in images}
@@ -113,11 +104,11 @@ def _wave(
     return state
 
 
-def _look(board: Board, image: Image) -> Corners | Literal["mirrored"] | None:
+def _look(board: api.Board, image: Image) -> api.Corners | Literal["mirrored"] | None:
     gray = np.asarray(cv2.cvtColor(image.pixels, cv2.COLOR_BGR2GRAY), np.uint8)
     try:
         return board.look(gray)
-    except MirroredBoardError:
+    except api.MirroredBoardError:
         return _MIRRORED
 
 

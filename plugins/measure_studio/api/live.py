@@ -21,7 +21,6 @@ from measure.api.outputs import check_folder
 from measure.api.profiles import build_pipeline
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
-from measure.api.sending import Sending, SendOptions, open_sending, sent_pose
 from measure.api.warming_up import warm_pipeline
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
@@ -31,6 +30,7 @@ from measure.results import Provenance, RunWriter, Summary, check_run_folder
 from measure.session import Calibration, check_bodies, check_unit, read_body
 from measure_studio.api import recording
 from measure_studio.api.marks import check_marks, marks_received
+from measure_studio.api.sending import Sending, SendOptions, open_sending, sent_pose
 from measure_studio.capture import CameraAddress, CameraCount, Cameras, Gathering, check_names
 from measure_studio.capture.sources import Source
 

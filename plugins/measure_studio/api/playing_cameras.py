@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from measure.api.playing import Pace
 from measure.arrays import Floats, Ints
 from measure.errors import MeasureError
 from measure.processes import until_stopped
 from measure.session import Stream, open_streams
+from measure_studio.api.playing import Pace
 from measure_studio.capture import jpeg_of, picture_part, serve_cameras
 
 CAMERA_PORT = 8090  # Where cameras are served if nothing else is asked for

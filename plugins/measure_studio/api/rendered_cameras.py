@@ -13,9 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from measure.api import Sheet as PrintedSheet
-from measure.api import read_board, target_sheet
-from measure.api.calibrating import shipped_targets
+from measure import api
 from measure.api.folders import next_free
 from measure.arrays import Bytes
 from measure.errors import ConfigError, MeasureError
@@ -123,7 +121,7 @@ def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
     from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
 
     scene = webcam_scene()
-    points = read_board(shipped_targets()[board]).points
+    points = api.read_board(api.shipped_targets()[board]).points
     waved = held_poses(scene.cameras, points, WORKSPACE_MM)
     flat = RigidTransform.from_rotvec([np.pi, 0, 0])
     lying = replace(flat, translation=WORKSPACE_MM - (0, 0, 40) - flat.rotate(points.mean(axis=0)))
@@ -150,8 +148,8 @@ def _write_board(folder: Path, board: str, poses: Sequence[RigidTransform], step
     from measure.simulation.catalogue import webcam_scene
     from measure.simulation.sensor import develop, encode
 
-    target = shipped_targets()[board]
-    printed, first = target_sheet(target), read_board(target).points[:, :2].min(axis=0)
+    target = api.shipped_targets()[board]
+    printed, first = api.target_sheet(target), api.read_board(target).points[:, :2].min(axis=0)
     left, top = (first - printed.origin_mm).tolist()
     sheet = RenderedSheet(_bitmap(printed), _PX_PER_MM, (left, top))
     scene = replace(webcam_scene(), shown=(), attached=())
@@ -182,7 +180,7 @@ def _write_texts(folder: Path, names: Sequence[str], frames: int) -> None:
     (folder / "session.toml").write_text(text, "utf-8")
 
 
-def _bitmap(sheet: PrintedSheet) -> Bytes:
+def _bitmap(sheet: api.Sheet) -> Bytes:
     """The boxes of a sheet as a picture."""
     width, height = (round(side * _PX_PER_MM) for side in sheet.size_mm)
     out = np.full((height, width), 255, np.uint8)

@@ -8,12 +8,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag
 from measure.cli.options import FIELDS, InjectedRegistry, SettingTexts, ShowOptions
 from measure.errors import ConfigError
-from measure_studio import api as studio_api
+from measure_studio import api
 
 
 @Parameter(name="*")
@@ -36,7 +35,7 @@ def play(
     /,
     *,
     as_cameras: bool = False,
-    port: int = studio_api.CAMERA_PORT,
+    port: int = api.CAMERA_PORT,
     pace: Annotated[api.Pace, FIELDS] = api.Pace(),
     to: _ReceiverOptions = _ReceiverOptions(),
     json: JsonFlag = False,
@@ -74,7 +73,7 @@ def play(
 def _play_cameras(session: Path, pace: api.Pace, port: int, json: bool) -> None:
     """Serve a session's cameras, and print their addresses at once: others wait for them."""
     tell = console.note if json else console.print_text
-    sent = studio_api.play_cameras(session, pace, port, tell)
+    sent = api.play_cameras(session, pace, port, tell)
     if json:
         console.print_json({"session": str(session), "pictures": sent})
     else:

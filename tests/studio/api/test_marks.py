@@ -12,10 +12,10 @@ import pylsl
 import pytest
 
 from benchmarks.sinks import HOST, free_port, write_run
-from measure.api import PlayOptions, mark_event, play
+from measure.api import mark_event
 from measure.errors import ConfigError
 from measure.host import Registry
-from measure_studio.api import TYPED
+from measure_studio.api import TYPED, PlayOptions, play
 from measure_studio.api.marks import marks_received
 from tests.receiving import wait_for
 

@@ -14,12 +14,11 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.api import PlayOptions
 from measure.cli import main
 from measure.errors import CaptureError, ConfigError
 from measure.session import dump_toml
 from measure_studio import api as studio_api
-from measure_studio.api import play_cameras
+from measure_studio.api import PlayOptions, play_cameras
 from measure_studio.capture.mjpeg_http import HttpSource
 from tests.session import videos
 

@@ -11,11 +11,11 @@ from threading import Thread
 from typing import Any, Self
 from urllib.parse import parse_qsl
 
+from measure.api import Measurement
 from measure.api.profiles import parse_value
 from measure.errors import ConfigError, MeasureError
 from measure.host import EventMark, Registry, SentPose, SentRun, Sink
 from measure.host.registry import failure
-from measure.measuring import Measurement
 from measure.model import Image
 
 _HELD = 256  # What waits for a sink at most; of more the oldest is lost

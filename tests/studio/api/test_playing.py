@@ -15,10 +15,10 @@ import pytest
 import rerun as rr
 
 from benchmarks.sinks import address, write_run
-from measure.api import PlayOptions, play
 from measure.cli import main
 from measure.host import Registry
 from measure.viewing import entities, recording
+from measure_studio.api import PlayOptions, play
 from tests.receiving import check_same, receiving
 from tests.results.conftest import BODY, measurement, open_writer
 from tests.viewing.reading import column, read_recording

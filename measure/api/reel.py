@@ -1,131 +1,25 @@
-"""A run replayed at its own pace, into sinks and a viewer."""
+"""What is shown or sent again of a run: its poses, its measurements and the marks in it."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cached_property
-from itertools import count
-from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pyarrow as pa
 
 from measure.api.folders import events
-from measure.api.run_log import LogOptions
-from measure.api.sending import SendOptions, open_sending
-from measure.arrays import Floats
-from measure.errors import ConfigError, RunError
+from measure.errors import RunError
 from measure.geometry import RigidTransform
-from measure.host import EventMark, Registry, SentPose, SentRun
+from measure.host import EventMark, SentPose, SentRun
 from measure.measuring import Measurement, Status
 from measure.model import BallPosition, Pose
-from measure.processes import until_stopped
-from measure.results import Run, read_runs
+from measure.results import Run
 from measure.results.journal import is_missing
 from measure.results.stored import rows_of_body
 from measure.results.tables import BODY, PLACE, matrices, numbers
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How fast a recording is played, and when.
-
-    Attributes:
-        rate: how many times as fast as it was recorded.
-        loop: begin again at its end.
-        wait_s: seconds before the first pose or picture, so that receivers are all there.
-    """
-
-    rate: float = 1.0
-    loop: bool = False
-    wait_s: float = 1.0
-
-    def check_pace(self) -> None:
-        """Refuse (ConfigError) a pace that is none."""
-        if not (math.isfinite(self.rate) and self.rate > 0):
-            raise ConfigError(f"--rate {self.rate:g}: expected a number above 0")
-        if not 0 <= self.wait_s < math.inf:
-            raise ConfigError(f"--wait-s {self.wait_s:g}: expected seconds, 0 or more")
-
-
-@dataclass(frozen=True)
-class PlayOptions(Pace, SendOptions):
-    """How a run is played, and where to."""
-
-    viewer: str | None = None  # address of a running viewer
-
-
-@dataclass(frozen=True)
-class PlayEnd:
-    """A replay that has ended."""
-
-    frame_sets: int  # how many were played
-    late_s: float  # the most by which one came after its turn
-    sent: Mapping[str, Mapping[str, int]]  # what came of the poses for each address
-
-
-def play(
-    folder: Path, registry: Registry, options: PlayOptions, over: Event | None = None
-) -> PlayEnd:
-    """Play a run, finished or not, until its end, until interrupted, or until `over` is set.
-
-    Raises:
-        MeasureError: the folder is no run, an address or setting is none, or there is no viewer.
-    """
-    options.check_pace()
-    if not (options.send or options.viewer):
-        raise ConfigError(
-            "where is it to be played to? give --send ADDRESS, --spawn or --connect; --as-cameras "
-            "serves the cameras of a session"
-        )
-    LogOptions(viewer=options.viewer).check_viewer()
-    reel = Reel(read_runs(folder))
-    sending = open_sending(options, registry, reel.run)
-    with ExitStack() as stack:
-        stop = stack.enter_context(until_stopped(over))
-        stack.enter_context(sending)
-        show = _viewer(stack, reel, options.viewer)
-        played, late_s = 0, 0.0
-        stop.wait(options.wait_s)
-        begun, since_1970 = time.monotonic(), time.time() - time.monotonic()
-        for number, due_s in _turns(reel.times_s, options):
-            if stop.wait(max(begun + due_s - time.monotonic(), 0.0)):
-                break
-            exposed_s, now_s = since_1970 + begun + due_s, since_1970 + time.monotonic()
-            marks = reel.marks(number, exposed_s, options.rate)
-            sending.send(reel.poses(number, exposed_s, now_s), marks)
-            late_s = max(late_s, time.monotonic() - begun - due_s)
-            show(number)
-            played += 1
-    return PlayEnd(played, late_s, sending.counts)
-
-
-def _turns(times_s: Floats, pace: Pace) -> Iterator[tuple[int, float]]:
-    """Number of every frame set to be played, and its turn in seconds from the start."""
-    period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
-    since_s = (times_s - times_s[0]).tolist()
-    for round_ in count() if pace.loop else (0,):
-        for number, time_s in enumerate(since_s):
-            yield number, (round_ * (since_s[-1] + period_s) + time_s) / pace.rate
-
-
-def _viewer(stack: ExitStack, reel: Reel, address: str | None) -> Callable[[int], None]:
-    """What shows a frame set in a viewer; nothing without one."""
-    if address is None:
-        return lambda _: None
-    from measure.viewing.recording import RunRecording, open_recording
-
-    run = reel.run
-    names = [body.name for body in run.bodies]
-    stream = open_recording(run.name, run.cameras, address=address, bodies=names)
-    log = stack.enter_context(RunRecording(stream, run.bodies, run.cameras, 0, live=True))
-    return lambda number: log.add(reel.measurements(number))
 
 
 class Reel:

@@ -8,8 +8,8 @@ import time
 import pytest
 
 from benchmarks.sinks import body, measurement
-from measure.api.sending import Sending, sent_pose
 from measure.host import SentRun, Settings, Sink
+from measure_studio.api.sending import Sending, sent_pose
 from tests.receiving import wait_for
 
 RUN = SentRun("run", (body("tool"),), ())
@@ -80,7 +80,7 @@ def test_a_sink_that_stalls_costs_the_others_nothing():
 
 
 def test_a_port_that_is_taken_is_waited_for(monkeypatch):
-    monkeypatch.setattr("measure.api.sending._REOPEN_S", 0.05)
+    monkeypatch.setattr("measure_studio.api.sending._REOPEN_S", 0.05)
     sink, lines = Recording(), []
     sink.refused_openings = 2
     with Sending([("it", sink)], lines.append) as sending:
@@ -102,7 +102,7 @@ def test_a_port_that_is_taken_is_waited_for(monkeypatch):
 
 
 def test_a_sink_that_raises_is_told_once_and_opened_again(monkeypatch):
-    monkeypatch.setattr("measure.api.sending._REOPEN_S", 0.02)
+    monkeypatch.setattr("measure_studio.api.sending._REOPEN_S", 0.02)
     sink, lines = Recording(), []
     sink.error = ValueError("no such thing")
     with Sending([("it", sink)], lines.append) as sending:
@@ -119,7 +119,7 @@ def test_a_sink_that_raises_is_told_once_and_opened_again(monkeypatch):
 
 
 def test_the_end_does_not_wait_for_a_sink_that_hangs(monkeypatch):
-    monkeypatch.setattr("measure.api.sending._LAST_S", 0.1)
+    monkeypatch.setattr("measure_studio.api.sending._LAST_S", 0.1)
     sink, lines = Recording(), []
     sink.go_on.clear()
     begun = time.monotonic()
