@@ -16,7 +16,6 @@ from measure.errors import CalibrationError
 from measure.model import Intrinsics
 from measure.reading import parse_toml, read_text
 from measure.session import calibration_file
-from measure.session.bag_lenses import read_camera_infos
 from measure.session.files import check_name
 from measure.session.formats import able, format_for, formats
 from measure.session.stated_rig import Sizes, StatedRig, Unit
@@ -68,14 +67,13 @@ def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
 
 def _foreign(path: Path) -> StatedRig | None:
     """The rig in a file of another program; None if it is ours."""
-    if is_bag(split_topic(path)[0]):
-        return read_camera_infos(path)
-    text = read_text(path, CalibrationError)
-    toml = path.suffix.lower() == ".toml"
-    with suppress(tomllib.TOMLDecodeError):
-        if isinstance(parse_toml(text).get("cameras"), list):
-            return None
-        toml = True
+    text, toml = "", path.suffix.lower() == ".toml"
+    if not is_bag(split_topic(path)[0]):
+        text = read_text(path, CalibrationError)
+        with suppress(tomllib.TOMLDecodeError):
+            if isinstance(parse_toml(text).get("cameras"), list):
+                return None
+            toml = True
     for read in able("read_calibration").values():
         if (rig := read(path, text)) is not None:
             return cast("StatedRig", rig)

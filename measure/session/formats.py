@@ -17,6 +17,8 @@ from measure.errors import ConfigError, MeasureError
 from measure.neighbours import FORMATS, lacking, offers
 from measure.session.calibration_file import Calibration
 from measure.session.stated_rig import StatedRig
+from measure.session.streams import Stream
+from measure.session.timestamps import Stamps
 from measure.session.tracked_body import TrackedBody
 
 
@@ -27,10 +29,12 @@ class Format:
     Attributes:
         name: how a command's `--format` chooses it.
         does: what it is, for whom, in a line.
-        read_calibration: takes a file's path and text, and gives its rig; CalibrationError: it is
-            of this format, and broken.
+        read_calibration: takes a file's path and text (none of a bag), and gives its rig;
+            CalibrationError: it is of this format, and broken.
         read_truth: takes path, text and a class of errors, and gives the rigid bodies by name; an
             error of that class: it is of this format, and broken.
+        open_pictures: takes a camera's name, `file#topic` of a bag of ROS, its stamps or None with
+            the file they are from, and an offset in s; gives its stream.
         write_calibration: takes a path and a calibration.
         write_run: takes runs, a path and, if it `holds_velocity`, their velocities or nothing.
         holds_poses: whether a run written in it holds poses, which can be smoothed.
@@ -44,6 +48,7 @@ class Format:
     read_truth: (
         Callable[[Path, str, type[MeasureError]], Mapping[str, TrackedBody] | None] | None
     ) = None
+    open_pictures: Callable[[str, Path, Stamps | None, Path | None, float], Stream] | None = None
     write_calibration: Callable[[Path, Calibration], None] | None = None
     write_run: Callable[..., None] | None = None
     holds_poses: bool = True

@@ -28,7 +28,10 @@ class Stream(ABC):
         times_s: (n,) middles of the exposures on the session's clock, increasing.
         stamps: how wrong the times are, as far as they show it.
         notes: what a user should know: missing frames and the like.
+        begins_s: the time at which it begins, where its file counts from 1970; else 0.
     """
+
+    begins_s = 0.0
 
     def __init__(
         self,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -17,9 +17,10 @@ from measure.arrays import Bytes, Floats
 from measure.bags import is_bag, split_topic
 from measure.errors import SessionError
 from measure.model import Image
+from measure.neighbours import lacking
 from measure.reading import check_ordinary
-from measure.session.bag_pictures import BagStream, open_bag_stream
 from measure.session.damage import refuse_truncated
+from measure.session.formats import able
 from measure.session.pictures import decode_picture, most_pixels, refuse_huge
 from measure.session.streams import Stream, turned_notes
 from measure.session.timestamps import Stamps
@@ -284,7 +285,7 @@ def open_video_stream(
     stamps: Stamps | None = None,
     stamps_path: Path | None = None,
     offset_s: float = 0.0,
-) -> VideoStream | BagStream:
+) -> Stream:
     """Open a video (mp4, mkv, avi, ...; H.264, motion JPEG, ...), or a topic in a bag of ROS.
 
     Without `stamps`, from the file `stamps_path`, times are the container's own after the first
@@ -292,7 +293,9 @@ def open_video_stream(
     `stamps` has not one row a frame.
     """
     if is_bag(split_topic(path)[0]):
-        return open_bag_stream(name, path, stamps, stamps_path, offset_s)
+        for open_pictures in able("open_pictures").values():
+            return cast("Stream", open_pictures(name, path, stamps, stamps_path, offset_s))
+        raise lacking("reading bags of ROS", "measure_formats")
     index = index_video(path, f"camera '{name}': ")
     count = len(index.stamps)
     if stamps is None:

@@ -1,9 +1,10 @@
-"""A run in other programs' formats; their libraries are imported when one is written."""
+"""Formats of runs, and of ROS's bags; their libraries are imported when one is written or read."""
 
 from __future__ import annotations
 
 from measure.session import Format
 from measure_formats import ros, tables
+from measure_formats.bag_pictures import open_bag_stream
 
 CSV = Format(
     "csv", "poses with covariances, for tables", write_run=tables.write_csv, holds_velocity=True
@@ -18,5 +19,10 @@ C3D = Format(
     extra="c3d",
 )
 MCAP = Format(
-    "mcap", "poses in metres, for ROS 2", write_run=ros.write, holds_velocity=True, extra="ros"
+    "mcap",
+    "poses in metres, for ROS 2",
+    open_pictures=open_bag_stream,
+    write_run=ros.write,
+    holds_velocity=True,
+    extra="ros",
 )

@@ -10,10 +10,12 @@ import cv2
 import numpy as np
 
 from measure.arrays import Floats
+from measure.bags import is_bag, split_topic
 from measure.errors import CalibrationError
 from measure.model import Camera
 from measure.reading import parse_toml
 from measure.session import MM_PER, Calibration, Format, StatedRig, Unit, dump_toml
+from measure_formats.bag_lenses import read_camera_infos
 from measure_formats.plain_values import READ, plain_values
 from measure_formats.rig_tables import is_foreign_toml, read_tables
 from measure_formats.rig_xml import read_xml
@@ -21,6 +23,8 @@ from measure_formats.rig_xml import read_xml
 
 def read_rig(path: Path, text: str) -> StatedRig | None:
     """The cameras in a file of one of these programs; None if it is nobody's of them."""
+    if is_bag(split_topic(path)[0]):
+        return read_camera_infos(path)
     try:
         values = parse_toml(text)
     except tomllib.TOMLDecodeError:

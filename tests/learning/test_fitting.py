@@ -20,7 +20,7 @@ pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
 STRANGER = """
 import json
-from measure.host import OnnxEstimator, hookimpl
+from measure.host import hookimpl
 from measure_learning.estimators.offset import OffsetEstimator
 
 class Hasty(OffsetEstimator):

@@ -11,7 +11,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.bags import Bag, described, open_bag, split_topic
 from measure.errors import CalibrationError
-from measure.session.stated_rig import StatedCamera, StatedRig, stated_model
+from measure.session import StatedCamera, StatedRig, stated_model
 
 _INFO = "sensor_msgs/msg/CameraInfo"
 

@@ -15,6 +15,7 @@ from measure.arrays import Bytes, Floats, Ints
 from measure.bags import Bag, described, open_bag, split_topic, stamp_ns
 from measure.errors import SessionError
 from measure.model import Image
+from measure.session import Stream
 from measure.session.pictures import (
     JPEG_START,
     decode_picture,
@@ -23,9 +24,8 @@ from measure.session.pictures import (
     picture_size_wh,
     refuse_huge,
 )
-from measure.session.ros_images import GREY, encoding_of, raw_pixels
-from measure.session.streams import Stream
 from measure.session.timestamps import Stamps
+from measure_formats.ros_images import GREY, encoding_of, raw_pixels
 
 _RAW, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
