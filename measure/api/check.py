@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -39,9 +38,9 @@ from measure.checking.causes import ALL, Cause, Word
 from measure.checking.clocks import CameraClock
 from measure.checking.coverage import disagreeing_causes
 from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose
-from measure.checking.evidence import evidence_of
 from measure.checking.motion import MotionCheck, check_motion, flag_findings
 from measure.checking.pictures import gaps_alone, rate_causes
+from measure.checking.sightings import evidence_of
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
@@ -77,8 +76,6 @@ class SessionCheck:
     # the balls' distances and radii against the body file.
     body: BodyCheck = field(default_factory=BodyCheck)
     clocks: tuple[CameraClock, ...] = ()  # of all cameras; empty if the motion was not measured
-    scale: float = math.nan  # times as far apart as in the body file the balls are, if known
-    scale_sd: float = math.nan
     # (27, 5) expected standard deviations round the place where the body was (see
     # `expected_accuracy`), or None if it was never found.
     accuracy: Floats | None = None
@@ -146,8 +143,6 @@ def _concluded(session: Session, look: _Look, findings: list[Finding]) -> Sessio
         causes,
         look.shape,
         motion.clocks,
-        motion.scale,
-        motion.scale_sd,
         _accuracy(session, searched),
     )
 

@@ -13,6 +13,7 @@ from measure.api.measuring import measure_bodies
 from measure.api.run_log import LogOptions, RunLog
 from measure.checking import ColorlessCount
 from measure.errors import ConfigError, MeasureError
+from measure.estimation.expected_accuracy import WORLD_SCALE_SD
 from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Measurement, Profile
@@ -140,6 +141,7 @@ def provenance(
         plugins={stage: f"{one.name} of {one.distribution}" for stage, one in loaded.items()},
         notes=notes,
         session_name=session_name,
+        scale_sd=WORLD_SCALE_SD,
     )
 
 

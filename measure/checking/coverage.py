@@ -12,7 +12,7 @@ from measure.arrays import Floats
 from measure.checking.causes import Cause, Word
 from measure.checking.finding import Finding, Level
 from measure.checking.search import SearchSample
-from measure.estimation.expected_accuracy import noise_sd, tolerance_sd
+from measure.estimation.expected_accuracy import noise_sd, scale_sd, tolerance_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 
@@ -104,7 +104,8 @@ def expected_accuracy(
     for offset in np.stack(np.meshgrid(_GRID, _GRID, _GRID), axis=-1).reshape(-1, 3):
         pose = RigidTransform(middle.rotation, middle.translation + reach_mm * offset)
         by_noise = noise_sd(pose, body, cameras, noise_px)
-        rows.append([*pose.translation, *np.hypot(by_noise, tolerance_sd(body, pose))])
+        position, rotation = np.hypot(by_noise, tolerance_sd(body, pose))
+        rows.append([*pose.translation, np.hypot(position, scale_sd(pose)), rotation])
     return np.array(rows)
 
 

@@ -7,20 +7,15 @@ off; `Evidence.linearised` gives both derivatives.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.checking.search import SearchSample, with_velocities
 from measure.geometry import RigidTransform, chart_jacobian
-from measure.measuring.measurement import Measurement
-from measure.measuring.pose_spline import REACH, motion_at
 from measure.model import Body, Camera, Detection
-from measure.model.observations import Reason
 
 TRACKED_PX, SEARCHED_PX = 0.3, 0.5
 """Usual error of a ball's centre, and of its radius, that its detector does not state: where it was
@@ -161,6 +156,13 @@ class Evidence:
         first = self.shared(SHARED) + len(self.body.balls) + 3 * ball
         return [first, first + 1, first + 2]
 
+    def flow(self) -> Floats:
+        """By camera (c,), how far a second moves what it sees, in standard deviations, RSS."""
+        here = np.zeros((1, self.size))
+        by_rig = self.linearised(self.poses, here, np.zeros(len(self), np.int64)).by_rig
+        own = by_rig[np.arange(len(self)), :, PER_CAMERA * self.views + CLOCK.start]
+        return np.sqrt(np.bincount(self.views, np.sum(own**2, axis=1), len(self.cameras)))
+
     def linearised(self, poses: RigidTransform, rigs: Floats, states: Ints) -> Linear:
         """The views about poses (k,) and parameters (m, p), those of `states` (n,) for each."""
         expected, by_pose = np.zeros((len(self), 3)), np.zeros((len(self), 3, 6))
@@ -283,110 +285,3 @@ def altered(camera: Camera, change: Floats) -> Camera:
     return replace(
         camera, intrinsics=lens, world_from_camera=camera.world_from_camera.perturb(step)
     )
-
-
-MOST_INSTANTS, _FEWEST = 60, 5
-_AGREEING = 2  # Balls that agree with the pose, from which a camera's others are other things
-_LIKELY_RATIO = 1.6
-"""Largest factor of an outline's size that a far zoomed camera may show of a ball."""
-
-
-def evidence_of(
-    searched: Sequence[SearchSample],
-    found: Sequence[Mapping[str, Sequence[Detection]]],
-    measured: Sequence[Measurement],
-    body: Body,
-    cameras: Sequence[Camera],
-    gaps_s: Mapping[str, Floats] | None = None,
-) -> Evidence | None:
-    """What was seen of the body where its pose is known: measured in a row, else searched.
-
-    Args:
-        searched: frame sets in which all was searched, and `found` what was found there.
-        measured: frame sets measured one after the other.
-        gaps_s: by camera, when its stamps, and no other's, have a gap.
-    """
-    tracked = measured_sightings(measured)
-    whole = [
-        Sighting(
-            sample.time_s,
-            sample.world_from_body,
-            sample.velocity,
-            _seen_there(sample, every, body, cameras),
-        )
-        for sample, every in zip(with_velocities(searched), found, strict=True)
-        if sample.world_from_body is not None
-    ]
-    if len(tracked) < max(len(whole) / 2, _FEWEST):
-        measured = ()
-    if not measured:
-        return Evidence.of(whole, body, cameras, SEARCHED_PX, gaps_s)
-    near = {round(s.time_s, 4): s.detections for s in whole}
-    completed = [
-        Sighting(one.time_s, *motion, list(_preferred(one, near, not searched)))
-        for one, motion in tracked
-    ]
-    chosen = np.unique(np.linspace(0, len(completed) - 1, MOST_INSTANTS).round().astype(int))
-    return Evidence.of([completed[k] for k in chosen], body, cameras, TRACKED_PX, gaps_s)
-
-
-def measured_sightings(
-    measured: Sequence[Measurement],
-) -> list[tuple[Measurement, tuple[RigidTransform, Floats]]]:
-    """Those of frame sets with a pose, and the motion by the poses around them."""
-    posed = [(m, m.pose) for m in measured if m.pose is not None]
-    poses = [pose for _, pose in posed]
-    out = []
-    for k, (measurement, pose) in enumerate(posed):
-        motion = motion_at(pose, poses[max(k - REACH, 0) : k], poses[k + 1 : k + 1 + REACH])
-        velocity = np.zeros(6) if motion is None else motion.velocity
-        out.append((measurement, (pose.world_from_body, velocity)))
-    return out
-
-
-def _preferred(
-    one: Measurement, near: Mapping[float, Sequence[Detection]], doubtful: bool
-) -> Iterator[Detection]:
-    """Of each ball and camera what was followed, else what was searched.
-
-    Only if nothing was searched, what was followed with doubt.
-    """
-    whole = {(d.camera, d.ball): d for d in near.get(round(one.time_s, 4), ())}
-    for view in one.views:
-        found = whole.pop((view.camera, view.ball), None)
-        if view.effective or (doubtful and view.reason is not Reason.COLOR):
-            found = view.detection
-        if found is not None:
-            yield found
-    yield from whole.values()
-
-
-def _seen_there(
-    sample: SearchSample,
-    every: Mapping[str, Sequence[Detection]],
-    body: Body,
-    cameras: Sequence[Camera],
-) -> list[Detection]:
-    """What agrees with the pose; of a camera with less than two such balls what is near, or alike.
-
-    That is the candidate nearest to where a ball should be, else the best of about its size.
-    """
-    seen = {(d.camera, d.ball): d for d in sample.agreeing}
-    agreeing = Counter(camera for camera, _ in seen)
-    lost = {camera.name for camera in cameras if agreeing[camera.name] < _AGREEING}
-    seen |= {(d.camera, d.ball): d for d in sample.nearest if d.camera in lost}
-    assert sample.world_from_body is not None
-    centers = sample.world_from_body.apply(body.centers)
-    for camera in (camera for camera in cameras if camera.name in lost):
-        away = np.linalg.norm(centers - camera.center, axis=1)
-        for k, ball in enumerate(body.balls):
-            radius_px = camera.intrinsics.focal_px * ball.radius_mm / away[k]
-            alike = [
-                d
-                for d in every.get(camera.name, ())
-                if d.ball == ball.name
-                and 1 / _LIKELY_RATIO < d.radius_px / radius_px < _LIKELY_RATIO
-            ]
-            if alike and (camera.name, ball.name) not in seen:
-                seen[camera.name, ball.name] = max(alike, key=lambda d: d.score)
-    return list(seen.values())

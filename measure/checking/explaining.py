@@ -101,7 +101,7 @@ def explain(evidence: Evidence) -> tuple[list[Explanation], float, Fit | None]:
     found: list[Explanation] = []
     if len(evidence.times_s) < _MIN_INSTANTS or len(np.unique(evidence.views)) < 2:
         return found, 0.0, None
-    here = _fitted(evidence, ())
+    here = fitted(evidence, ())
     misfit = here.left
     taken: set[tuple[Word, str]] = set()
     while len(found) < _MOST_CAUSES:
@@ -124,7 +124,7 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
         if score > best_of.get(key, (0.0, hypothesis))[0]:
             best_of[key] = score, hypothesis
     ranked = sorted(best_of.values(), key=lambda pair: -pair[0])[:_REFINED]
-    fits = [_fitted(evidence, (*here.hypotheses, h), here) for _, h in ranked]
+    fits = [fitted(evidence, (*here.hypotheses, h), here) for _, h in ranked]
     fits = [fit for fit in fits if fit.plausible and fit.significance > _threshold(_WEAK, fit)]
     if not fits:
         return None
@@ -293,7 +293,7 @@ def _linearised(
     return evidence.linearised(poses, rigs, states)
 
 
-def _fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = None) -> Fit:
+def fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = None) -> Fit:
     """Fit hypotheses together with the poses, robustly, by Gauss-Newton."""
     count = sum(h.basis.shape[1] for h in some)
     values = np.zeros(count + 1)

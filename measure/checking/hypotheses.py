@@ -20,11 +20,13 @@ from measure.checking.evidence import (
     TURN,
     Evidence,
 )
+from measure.model import Body
 
 MIDWAY = {Word.CLOCK: Word.CLOCK_STEP, Word.MOVED: Word.MOVED_AT, Word.ZOOM: Word.ZOOM}
 """What something is called that begins midway."""
 
 
+_IN_LINE_MM = 1e-3
 LARGEST = {Word.ROLLING: 0.1, Word.ZOOM: 0.7, Word.RADIUS: 0.7, Word.SCALE: 1.0, Word.PLACE: 100.0}
 """What no camera, body or board is off by: s of readout, logarithms, mm."""
 
@@ -74,7 +76,22 @@ def hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     yield Hypothesis(Word.RADIUS, "", every)
     for index, ball in enumerate(body.balls):
         yield Hypothesis(Word.RADIUS, ball.name, columns(evidence.radius(index)))
-        yield Hypothesis(Word.PLACE, ball.name, columns(*evidence.place(index)))
+        basis = columns(*evidence.place(index)) @ _determined(body, index)
+        yield Hypothesis(Word.PLACE, ball.name, basis)
+
+
+def _determined(body: Body, ball: int) -> Floats:
+    """Directions (3, q) in which a ball's place in the body shows; all three but of three balls.
+
+    A turn about the line through all others, where they lie on one, moves it and changes no length.
+    """
+    others = np.delete(body.centers, ball, axis=0)
+    middle = others.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(others - middle)
+    if len(sizes) > 1 and sizes[1] > _IN_LINE_MM:
+        return np.eye(3)
+    aside = np.cross(axes[0], body.centers[ball] - middle)
+    return np.asarray(np.linalg.svd(aside[None])[2][1:].T)
 
 
 def of_camera(evidence: Evidence, index: int, name: str) -> Iterator[Hypothesis]:

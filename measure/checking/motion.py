@@ -1,4 +1,4 @@
-"""What frame sets measured one after the other show: clocks, scale, flags."""
+"""What frame sets measured one after the other show: clocks, sizes, flags."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.checking.finding import Finding, Level
 from measure.measuring.ball_radii import OutlineGrowth, outline_growth, seen_balls
-from measure.measuring.body_scale import relative_scale
 from measure.measuring.measurement import Measurement, Status
 from measure.model import Body, Camera
 
-_MIN_FRAME_SETS = 5
 _MAX_FLAGGED_SHARE = 0.2
 
 
@@ -24,9 +20,6 @@ class MotionCheck:
     """What the frame sets measured show."""
 
     clocks: tuple[CameraClock, ...] = ()  # of all cameras; empty if the motion was not measured
-    # how many times as far apart as in the body file the balls are; NaN if unknown.
-    scale: float = np.nan
-    scale_sd: float = np.nan
     measured: int = 0  # how many frame sets have a pose
     # how many of these are flagged, by the most frequent reasons.
     flags: tuple[tuple[str, int], ...] = ()
@@ -42,14 +35,13 @@ class MotionCheck:
 def check_motion(
     measurements: Sequence[Measurement], body: Body, cameras: Sequence[Camera]
 ) -> MotionCheck:
-    """Compare clocks and scale over frame sets measured one after the other."""
+    """Compare clocks and sizes over frame sets measured one after the other."""
     posed = [m for m in measurements if m.pose is not None]
     if not measurements:
         return MotionCheck()
     flags = Counter(m.pose.flags[0] for m in posed if m.pose and m.status is Status.FLAGGED)
     return MotionCheck(
         estimate_clocks(posed, body, cameras),
-        *_scale(posed, body),
         len(posed),
         tuple(flags.most_common()),
         outline_growth(seen_balls(posed), body, cameras),
@@ -66,13 +58,3 @@ def flag_findings(motion: MotionCheck) -> list[Finding]:
         f"first of all: {motion.flags[0][0]}"
     )
     return [Finding(Level.WEAK, "poses", text)]
-
-
-def _scale(posed: Sequence[Measurement], body: Body) -> tuple[float, float]:
-    """Median over the frame sets; their errors are alike, so its deviation is one frame set's."""
-    found = [relative_scale(m.pose, m.positions, body) for m in posed if m.pose is not None]
-    known = np.array([one for one in found if one is not None]).reshape(-1, 2)
-    if len(known) < _MIN_FRAME_SETS:
-        return np.nan, np.nan
-    off, variance = np.median(known, axis=0)
-    return float(1 + off), float(np.sqrt(variance))

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from measure.estimation.expected_accuracy import WORLD_SCALE_SD
 from measure.measuring.measurement import Measurement
 from measure.model import BallPosition, Body, Pose
 from measure.model.observations import stacked_positions
@@ -19,7 +20,7 @@ from measure.model.observations import stacked_positions
 _MEMORY_FRAME_SETS = 300
 _FLAG_SIGMAS = 4.0
 _EXCESS_SIGMAS = 2.0
-"""A factor further from 1 than this is taken for an error of scale in the covariance."""
+"""A factor further from 1 is taken for an error of scale, beside the one always allowed."""
 
 
 class ScaleMonitor:
@@ -44,26 +45,20 @@ class ScaleMonitor:
         if not pose.flags:
             self._take(pose, measured.positions)
         if not self._weight:
-            return measured
+            return replace(measured, pose=with_scale(pose, WORLD_SCALE_SD))
         off, sd = self._weighted / self._weight, math.sqrt(self._count / self._weight)
-        excess = off**2 - (_EXCESS_SIGMAS * sd) ** 2
-        if excess <= 0:
-            return measured
-        place = pose.world_from_body.translation
-        covariance = pose.covariance.copy()
-        covariance[:3, :3] += excess * np.outer(place, place)
-        pose = replace(pose, covariance=covariance)
+        measured = replace(measured, pose=with_scale(pose, _unknown_scale(off, sd)))
         if abs(off) <= _FLAG_SIGMAS * sd:
-            return replace(measured, pose=pose)
+            return measured
         flag = (
             f"the balls are {1 + off:.4f} +- {sd:.4f} times as far apart as the body file says: "
             "the body file or the calibration is off"
         )
-        return replace(measured, pose=pose).flagged(flag)
+        return measured.flagged(flag)
 
     def _take(self, pose: Pose, positions: Sequence[BallPosition]) -> None:
         """Add one frame set to the mean, and let the older ones count a little less."""
-        found = relative_scale(pose, positions, self._body)
+        found = _relative_scale(pose, positions, self._body)
         if found is None:
             return
         off, variance = found
@@ -73,7 +68,25 @@ class ScaleMonitor:
         self._weighted = keep * self._weighted + off / variance
 
 
-def relative_scale(
+def _unknown_scale(off: float, sd: float) -> float:
+    """How far the world's scale may be off: what is never seen, and what the balls show of it."""
+    seen = max(off**2 - (_EXCESS_SIGMAS * sd) ** 2, 0.0)
+    return math.sqrt(WORLD_SCALE_SD**2 + seen)
+
+
+def with_scale(pose: Pose, share: float) -> Pose:
+    """The pose, all distances from the world's origin uncertain by a share, which all poses have.
+
+    Its covariance grows along the line to the origin alone, so that of poses near each other, which
+    are displaced alike, the difference stays as certain as it was (`Pose.scale_sd`).
+    """
+    place = pose.world_from_body.translation
+    covariance = pose.covariance.copy()
+    covariance[:3, :3] += share**2 * np.outer(place, place)
+    return replace(pose, covariance=covariance, scale_sd=share)
+
+
+def _relative_scale(
     pose: Pose, positions: Sequence[BallPosition], body: Body
 ) -> tuple[float, float] | None:
     """The scale, less 1, of the similarity from body to positions, and its variance.

@@ -25,9 +25,10 @@ def relative_measurement(
     """A frame set's pose of a body in the frame of the reference; without one if either has none.
 
     With C the covariance of both poses (12, 12), whose cross terms are what the errors of the
-    cameras' calibrations do to both, and J the derivatives of reference_from_body by the two, the
-    covariance is J C J^T in the reference's frame. Of a solver that does not state what a camera's
-    error does to its pose (`Pose.by_camera`) the two count as independent.
+    cameras' calibrations and of the world's scale do to both, and J the derivatives of
+    reference_from_body by the two, the covariance is J C J^T in the reference's frame. Of a solver
+    that does not state what a camera's error does to its pose (`Pose.by_camera`) the two count as
+    independent but for the scale.
 
     Args:
         measured: the body, and what was measured of it.
@@ -90,5 +91,7 @@ def _joint_covariance(one: Pose, other: Pose, cameras: Sequence[Camera]) -> Floa
     for camera in cameras:
         if camera.covariance is not None and camera.name in mine and camera.name in its:
             out[:6, 6:] += mine[camera.name] @ camera.covariance @ its[camera.name].T
+    places = (each.world_from_body.translation for each in (one, other))
+    out[:3, 6:9] += one.scale_sd * other.scale_sd * np.outer(*places)
     out[6:, :6] = out[:6, 6:].T
     return out

@@ -49,16 +49,17 @@ class PoseTable:
 class SharedErrors:
     """What all poses of a recording err by together.
 
-    The error of a pose is the sum of four: of the cameras' calibration and of the body file, which
-    are the same numbers in all poses and move each as its place and turn have it; of light and
-    paint, alike in poses near each other (`alike`); and noise, each pose's own.
+    The error of a pose is the sum of four: of the calibration (cameras, scale) and of the body
+    file, which are the same numbers in all poses and move each as its place and turn have it; of
+    light and paint, alike in poses near each other (`alike`); and noise, each pose's own.
     """
 
     cameras: Sequence[Camera]  # as used, with their covariances
     body: Body  # as used, with its tolerance
+    scale_sd: float = 0.0  # of the world, as in the poses' covariances (`Pose.scale_sd`)
 
     def factors(self, poses: PoseTable) -> Floats:
-        """How n poses (n, 6, k) move by k unknowns of unit variance: of the cameras and the body.
+        """How n poses (n, 6, k) move by k unknowns of unit variance: of cameras, body and scale.
 
         Two poses share the covariance `factors[i] @ factors[j].T`. Where that is far more than is
         stated of them, the poses were not measured with these cameras: they share none of it.
@@ -82,7 +83,10 @@ class SharedErrors:
         stated = poses.covariances / (scale[:, :, None] * scale[:, None]) + 1e-9 * np.eye(6)
         white = np.linalg.solve(np.linalg.cholesky(stated), whole / scale[:, :, None])
         excess = np.median(np.linalg.norm(white, ord=2, axis=(1, 2))) if len(poses) else 0.0
-        return whole if excess < _FOREIGN else np.zeros_like(whole)
+        known = whole if excess < _FOREIGN else np.zeros_like(whole)
+        by_scale = np.zeros((len(poses), 6, 1))
+        by_scale[:, :3, 0] = self.scale_sd * places.translation
+        return np.concatenate([known, by_scale], axis=2)
 
     def alike(self, poses: RigidTransform, others: RigidTransform | None = None) -> Floats:
         """Correlation (n, m) of the errors by light of poses with others: with themselves if None.

@@ -125,6 +125,17 @@ class Pose:
     # by name, derivatives (6, 18) of the pose by a camera's pose and intrinsics (see
     # `Camera.covariance`), of which `covariance` holds the share; None if not known.
     by_camera: Mapping[str, Floats] | None = None
+    # share by which all distances from the world's origin may be off, which `covariance` holds.
+    scale_sd: float = 0.0
+
+    @property
+    def own_covariance(self) -> Floats:
+        """The covariance (6, 6) without the scale of the world, which all poses share."""
+        if not self.scale_sd:
+            return self.covariance
+        out, place = self.covariance.copy(), self.world_from_body.translation
+        out[:3, :3] -= self.scale_sd**2 * np.outer(place, place)
+        return out
 
     @property
     def position_sd_mm(self) -> float:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.estimation.expected_accuracy import body_pose_sd, noise_sd, tolerance_sd
+from measure.estimation.expected_accuracy import body_pose_sd, noise_sd, scale_sd, tolerance_sd
 from measure.geometry import RigidTransform
 from measure.results.run import Run
 
@@ -79,4 +80,4 @@ def _parts(pose: RigidTransform, run: Run) -> tuple[float, float]:
         return float("nan"), float("nan")
     from_cameras, _ = body_pose_sd(cameras, run.body, [pose])
     from_body, _ = tolerance_sd(run.body, pose)
-    return per_px, float(np.hypot(from_cameras[0], from_body))
+    return per_px, math.hypot(from_cameras[0], from_body, scale_sd(pose))

@@ -14,8 +14,9 @@ import pyarrow.compute as pc
 from measure.arrays import Floats
 from measure.checking.body import Compared, layout_causes, size_causes, twin_findings
 from measure.checking.diagnosis import diagnose
-from measure.checking.evidence import MOST_INSTANTS, Evidence, Sighting
+from measure.checking.evidence import Evidence, Sighting
 from measure.checking.finding import Level
+from measure.checking.sightings import MOST_INSTANTS
 from measure.geometry import RigidTransform
 from measure.measuring.ball_radii import outline_growth
 from measure.model import Body, Camera, Detection

@@ -36,6 +36,7 @@ class Provenance:
     plugins: Mapping[str, str]  # by stage, "NAME of DISTRIBUTION VERSION"
     notes: tuple[str, ...] = ()  # what the session left to be known: missing pictures and the like
     session_name: str = ""  # what the session is called; empty if not known
+    scale_sd: float = 0.0  # of the world, as in the covariances of all poses (`Pose.scale_sd`)
 
     def values(self) -> dict[str, Any]:
         """As written to `run.toml`."""
@@ -47,7 +48,11 @@ class Provenance:
                 "sha256": self.session_digest,
                 "notes": list(self.notes),
             },
-            "calibration": {"path": self.calibration, "sha256": self.calibration_digest},
+            "calibration": {
+                "path": self.calibration,
+                "sha256": self.calibration_digest,
+                "scale_sd": self.scale_sd,
+            },
             "body": {"sha256": self.body_digest},
             "profile": self.profile,
             "plugins": dict(self.plugins),
@@ -103,6 +108,7 @@ class _RunSessionTable(BaseModel):
 
 class _CalibrationTable(BaseModel):
     path: str = ""
+    scale_sd: float = 0.0
 
 
 class _RunFile(BaseModel):

@@ -10,7 +10,7 @@ import pytest
 from measure.checking import Level, search_sample, with_velocities
 from measure.checking.causes import ALL, Word
 from measure.checking.diagnosis import diagnose
-from measure.checking.evidence import evidence_of
+from measure.checking.sightings import evidence_of
 from measure.geometry import RigidTransform
 from tests.scenes import RAVEN, TARGET, moved, ring, see
 

@@ -1,28 +1,23 @@
-"""Clocks that no offset brings together are told to be unknown, not computed without end."""
+"""Clocks that nothing determines are told to be unknown."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-import pytest
 
 from measure.checking import clocks
 from measure.geometry.normal_equations import symmetric_inverse
+from tests.checking.test_clocks import CAMERAS, OFFSETS, moving, recorded
+from tests.scenes import RAVEN
 
 
-@pytest.mark.parametrize("way", ["far", "nan", "singular"])
-def test_clocks_that_diverge_are_unknown(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def reduced(*_: object) -> None:
-        if way == "singular":
-            raise np.linalg.LinAlgError
-
-    step = np.full((2, 2), np.nan if way == "nan" else 1e3)
-    monkeypatch.setattr(clocks, "_instants", lambda *_: [None])
-    monkeypatch.setattr(clocks, "reduce_instant", reduced)
-    monkeypatch.setattr(clocks, "bias_deviations", lambda *_: np.zeros((2, 2)))
-    monkeypatch.setattr(clocks, "solve_clocks", lambda *_: (step, np.zeros((2, 2))))
-    found, sd = clocks._estimate([], [], [None, None], np.zeros(2, bool), 0.3)
-    assert np.all(found == 0)
-    assert np.all(np.isinf(sd))
+def test_clocks_that_diverge_are_unknown(monkeypatch) -> None:
+    fit = clocks.fitted
+    far = lambda *given: replace(found := fit(*given), values=1e3 + found.values)
+    monkeypatch.setattr(clocks, "fitted", far)
+    found = clocks.estimate_clocks(recorded(moving, OFFSETS, count=20), RAVEN, [*CAMERAS.values()])
+    assert all(clock.offset_s == 0 and np.isinf(clock.offset_sd_s) for clock in found)
 
 
 def test_what_a_matrix_does_not_determine_stays_put() -> None:

@@ -14,6 +14,7 @@ from measure.api import Measurement, board_frame
 from measure.api.folders import named_pictures
 from measure.arrays import Bytes, Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
+from measure.estimation.expected_accuracy import WORLD_SCALE_SD
 from measure.geometry import RigidTransform, UncertainTransform
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import SHORTEST_S, Rests, find_rests
@@ -47,7 +48,7 @@ class RestsSoFar:
     """The rests of a body while it is measured, within the latest minutes."""
 
     def __init__(self, body: Body, cameras: Sequence[Camera], poses: int = _LATEST) -> None:
-        self._shared = SharedErrors(tuple(cameras), body)
+        self._shared = SharedErrors(tuple(cameras), body, WORLD_SCALE_SD)
         self._poses: deque[Pose] = deque(maxlen=poses)
 
     def add(self, measured: Measurement) -> None:

@@ -6,6 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -22,6 +23,8 @@ from measure.api.profiles import build_pipeline
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
 from measure.api.warming_up import warm_pipeline
+from measure.checking.causes import Cause
+from measure.checking.watching import RigWatch
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.model import Body, Camera, FrameSet, Image
@@ -60,6 +63,7 @@ class LiveState:
     cameras: Mapping[str, CameraCount]  # what has come of each
     images: Mapping[str, Image]  # the pictures that were measured, by camera
     away: tuple[str, ...] = ()  # the cameras that are away now
+    causes: tuple[Cause, ...] = ()  # what has seemed wrong with the rig of late
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,9 @@ def live(
         # Each call begins with the frame sets that come then.
         frame_sets = partial(gathering.frame_sets, opened.begin(*takers), rig.check)
         pipelines = live_pipelines(prepared.warm, prepared.build, frame_sets)
-        state, watch = None, _PaceMeter(gathering, rig)
+        looking = stack.enter_context(ThreadPoolExecutor(1))
+        watches = [RigWatch(body, sent.cameras, looking) for body in sent.bodies]
+        state, watch = None, _PaceMeter(gathering, rig, watches)
         for frame_set, known in _measured(pipelines, frame_sets(), rig):
             sending.send(_sent_poses(sent, known, rig.clock_s()), images=frame_set.images)
             writer.append(*known)
@@ -249,10 +255,10 @@ def _sent_poses(run: SentRun, measured: Sequence[Measurement], known_s: float) -
 
 
 class _PaceMeter:
-    """Rate of measurements and age of poses."""
+    """Rate of measurements and age of poses, and what is wrong with the rig."""
 
-    def __init__(self, gathering: Gathering, rig: Cameras) -> None:
-        self._gathering, self._rig = gathering, rig
+    def __init__(self, gathering: Gathering, rig: Cameras, watches: Sequence[RigWatch]) -> None:
+        self._gathering, self._rig, self._watches = gathering, rig, watches
         self._done: deque[float] = deque(maxlen=_RECENT)
         self._ages: deque[float] = deque(maxlen=_RECENT)
 
@@ -262,6 +268,8 @@ class _PaceMeter:
         self._done.append(now)
         self._ages.append(self._rig.clock_s() - measured[0].time_s)
         span = self._done[-1] - self._done[0]
+        for watch, one in zip(self._watches, measured, strict=True):
+            watch.add(one)
         return LiveState(
             measured,
             measured[0].index + 1,
@@ -272,4 +280,5 @@ class _PaceMeter:
             self._rig.counts,
             images,
             self._rig.away,
+            tuple(cause for watch in self._watches for cause in watch.causes),
         )

@@ -99,13 +99,20 @@ def live(
 
 
 class _StateLines:
-    """A line on stderr every few seconds: position and its SD, and the age of the pose."""
+    """A line on stderr every few seconds: position and its SD, and the age of the pose.
+
+    And one, once, for what is wrong with the rig.
+    """
 
     def __init__(self) -> None:
-        self._last = time.monotonic()
+        self._last, self._said = time.monotonic(), set[tuple[str, str]]()
 
     def __call__(self, state: LiveState) -> None:
         now = time.monotonic()
+        for cause in state.causes[:1]:
+            if (cause.cause, cause.of) not in self._said:
+                self._said.add((cause.cause, cause.of))
+                console.note(str(cause.finding))
         if now - self._last >= _LINE_EVERY_S:
             self._last = now
             out = {*state.away, *(name for one in state.latest for name in one.copies)}

@@ -295,7 +295,8 @@ def _event_lines(run: Path) -> list[str]:
 
 
 def _pace(state: studio_api.LiveState) -> str:
-    lines = [f"{', '.join(state.away)} away"] if state.away else []
+    lines = [str(cause.finding) for cause in state.causes[:1]]
+    lines += [f"{', '.join(state.away)} away"] if state.away else []
     pace = f"{state.frame_sets} frame sets, {state.rate_hz:.1f} per s"
     return "; ".join([*lines, f"{pace}, known after {1e3 * state.age_s:.0f} ms"])
 

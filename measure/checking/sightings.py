@@ -1,0 +1,145 @@
+"""What was seen of a body where its pose is known: the evidence that searches and runs give."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.checking.evidence import SEARCHED_PX, TRACKED_PX, Evidence, Sighting
+from measure.checking.search import SearchSample, with_velocities
+from measure.geometry import RigidTransform, chi_square_quantile, squared_mahalanobis
+from measure.measuring.measurement import Measurement
+from measure.measuring.pose_spline import REACH, motion_at
+from measure.model import Body, Camera, Detection
+from measure.model.observations import Reason
+
+MOST_INSTANTS, _FEWEST = 60, 5
+_MOTION_CONFIDENCE = 0.9999
+_AGREEING = 2  # Balls that agree with the pose, from which a camera's others are other things
+_LIKELY_RATIO = 1.6
+"""Largest factor of an outline's size that a far zoomed camera may show of a ball."""
+
+
+def evidence_of(
+    searched: Sequence[SearchSample],
+    found: Sequence[Mapping[str, Sequence[Detection]]],
+    measured: Sequence[Measurement],
+    body: Body,
+    cameras: Sequence[Camera],
+    gaps_s: Mapping[str, Floats] | None = None,
+    most: int = MOST_INSTANTS,
+) -> Evidence | None:
+    """What was seen of the body where its pose is known: measured in a row, else searched.
+
+    Args:
+        searched: frame sets in which all was searched, and `found` what was found there.
+        measured: frame sets measured one after the other.
+        gaps_s: by camera, when its stamps, and no other's, have a gap.
+        most: largest number of instants, of frame sets measured.
+    """
+    whole = [
+        Sighting(
+            sample.time_s,
+            sample.world_from_body,
+            sample.velocity,
+            _seen_there(sample, every, body, cameras),
+        )
+        for sample, every in zip(with_velocities(searched), found, strict=True)
+        if sample.world_from_body is not None
+    ]
+    tracked = [m for m in measured if m.pose is not None]
+    if len(tracked) < max(len(whole) / 2, _FEWEST):
+        return Evidence.of(whole, body, cameras, SEARCHED_PX, gaps_s)
+    near = {round(s.time_s, 4): s.detections for s in whole}
+    chosen = np.unique(np.linspace(0, len(tracked) - 1, most).round().astype(int)).tolist()
+    completed = [
+        Sighting(tracked[k].time_s, *motion, list(_preferred(tracked[k], near, not searched)))
+        for k, motion in zip(chosen, _motions(tracked, chosen), strict=True)
+    ]
+    return Evidence.of(completed, body, cameras, TRACKED_PX, gaps_s)
+
+
+def followed_evidence(
+    measurements: Iterable[Measurement],
+    body: Body,
+    cameras: Sequence[Camera],
+    systematic_px: float = TRACKED_PX,
+) -> Evidence | None:
+    """All that was seen well of the body in frame sets measured one after the other."""
+    posed = [m for m in measurements if m.pose is not None]
+    sightings = [
+        Sighting(
+            one.time_s, *motion, [v.detection for v in one.views if v.effective and v.detection]
+        )
+        for one, motion in zip(posed, _motions(posed, range(len(posed))), strict=True)
+    ]
+    return Evidence.of(sightings, body, cameras, systematic_px)
+
+
+def _motions(
+    posed: Sequence[Measurement], chosen: Iterable[int]
+) -> Iterator[tuple[RigidTransform, Floats]]:
+    """Poses and velocities of some of those with a pose, by the poses around them.
+
+    Zero where the noise of the poses explains the velocity: it holds no information on clocks.
+    """
+    poses = [m.pose for m in posed if m.pose is not None]
+    gate = chi_square_quantile(_MOTION_CONFIDENCE, 6)
+    for k in chosen:
+        motion = motion_at(poses[k], poses[max(k - REACH, 0) : k], poses[k + 1 : k + 1 + REACH])
+        velocity, noise = np.zeros(6), None if motion is None else motion.velocity_covariance
+        if motion is not None and noise is not None:
+            moves = squared_mahalanobis(motion.velocity, noise) >= gate
+            velocity = motion.velocity if moves else velocity
+        yield poses[k].world_from_body, velocity
+
+
+def _preferred(
+    one: Measurement, near: Mapping[float, Sequence[Detection]], doubtful: bool
+) -> Iterator[Detection]:
+    """Of each ball and camera what was followed, else what was searched.
+
+    Only if nothing was searched, what was followed with doubt.
+    """
+    whole = {(d.camera, d.ball): d for d in near.get(round(one.time_s, 4), ())}
+    for view in one.views:
+        found = whole.pop((view.camera, view.ball), None)
+        if view.effective or (doubtful and view.reason is not Reason.COLOR):
+            found = view.detection
+        if found is not None:
+            yield found
+    yield from whole.values()
+
+
+def _seen_there(
+    sample: SearchSample,
+    every: Mapping[str, Sequence[Detection]],
+    body: Body,
+    cameras: Sequence[Camera],
+) -> list[Detection]:
+    """What agrees with the pose; of a camera with less than two such balls what is near, or alike.
+
+    That is the candidate nearest to where a ball should be, else the best of about its size.
+    """
+    seen = {(d.camera, d.ball): d for d in sample.agreeing}
+    agreeing = Counter(camera for camera, _ in seen)
+    lost = {camera.name for camera in cameras if agreeing[camera.name] < _AGREEING}
+    seen |= {(d.camera, d.ball): d for d in sample.nearest if d.camera in lost}
+    assert sample.world_from_body is not None
+    centers = sample.world_from_body.apply(body.centers)
+    for camera in (camera for camera in cameras if camera.name in lost):
+        away = np.linalg.norm(centers - camera.center, axis=1)
+        for k, ball in enumerate(body.balls):
+            radius_px = camera.intrinsics.focal_px * ball.radius_mm / away[k]
+            alike = [
+                d
+                for d in every.get(camera.name, ())
+                if d.ball == ball.name
+                and 1 / _LIKELY_RATIO < d.radius_px / radius_px < _LIKELY_RATIO
+            ]
+            if alike and (camera.name, ball.name) not in seen:
+                seen[camera.name, ball.name] = max(alike, key=lambda d: d.score)
+    return list(seen.values())
