@@ -45,6 +45,8 @@ from measure.api.synchronising import SyncedClock, sync
 from measure.calibration import Board, BoardWave, Corners, Verdict, WaveState, read_board
 from measure.calibration.boards import MirroredBoardError
 from measure.calibration.printing import Sheet, target_sheet
+from measure.checking.causes import Cause
+from measure.checking.watching import RigWatch
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile, relative_measurements
@@ -54,17 +56,17 @@ from measure.session import Calibration, read_body, read_calibration, write_body
 
 __all__ = [
     "COLORS", "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "BodySearch",
-    "Calibration", "CalibrationResult", "Camera", "Corners", "Demo", "FocalFrom", "FoundBody",
-    "Image", "Lens", "Mark", "MarkKind", "Marking", "Measurement", "MirroredBoardError", "Outcome",
-    "Pipeline", "Profile", "RefineResult", "Registry", "RigidTransform", "RunOptions", "Samples",
-    "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "begin_marks",
-    "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "calibrate_to",
-    "check", "choose", "compare", "contents_of", "demo", "described", "detect", "draw",
-    "draw_target", "drawings", "evaluate", "evaluation_tables", "events", "export", "find_body",
-    "find_target", "inside", "learnt_colors", "load_profile", "mark_event", "measure_bodies",
-    "measure_session", "new_folder", "next_free", "output", "parse_click", "parse_expectation",
-    "parse_images", "profile_names", "read_board", "read_body", "read_calibration", "refine",
-    "relative_measurements", "render_demo", "report", "run", "run_many", "sampled_color",
-    "shipped_targets", "sync", "target_sheet", "write_body", "write_calibration",
-    "write_measured_board", "write_sampled_body",
+    "Calibration", "CalibrationResult", "Camera", "Cause", "Corners", "Demo", "FocalFrom",
+    "FoundBody", "Image", "Lens", "Mark", "MarkKind", "Marking", "Measurement",
+    "MirroredBoardError", "Outcome", "Pipeline", "Profile", "RefineResult", "Registry", "RigWatch",
+    "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet",
+    "SyncedClock", "Verdict", "WaveState", "begin_marks", "board_frame", "board_length",
+    "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose", "compare",
+    "contents_of", "demo", "described", "detect", "draw", "draw_target", "drawings", "evaluate",
+    "evaluation_tables", "events", "export", "find_body", "find_target", "inside", "learnt_colors",
+    "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "next_free",
+    "output", "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
+    "read_body", "read_calibration", "refine", "relative_measurements", "render_demo", "report",
+    "run", "run_many", "sampled_color", "shipped_targets", "sync", "target_sheet", "write_body",
+    "write_calibration", "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from measure.api import Measurement, Pipeline, Profile, relative_measurements
+from measure.api import Cause, Measurement, Pipeline, Profile, RigWatch, relative_measurements
 from measure.api.folders import mark_event
 from measure.api.measuring import live_pipelines, measure_frame_sets
 from measure.api.outputs import check_folder
@@ -23,8 +23,6 @@ from measure.api.profiles import build_pipeline
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
 from measure.api.warming_up import warm_pipeline
-from measure.checking.causes import Cause
-from measure.checking.watching import RigWatch
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.model import Body, Camera, FrameSet, Image
