@@ -137,7 +137,7 @@ class _Wave:
         """What a camera has seen of the board, in a line."""
         if self.state is None or not (seen := self.state.cameras.get(name)) or not seen.views:
             return name
-        return f"{name}: {seen.views} pictures, {seen.tilts} of them tilted"
+        return f"{name}: {_pictures(seen.views)}, {seen.tilts} of them tilted"
 
     def drawn_over(self, name: str) -> str:
         """Where a camera has seen the board, and the corners that it sees now."""
@@ -153,7 +153,11 @@ class _Wave:
 
 def _kept(last: api.WaveState | None) -> str:
     count = max((seen.views for seen in last.cameras.values()), default=0) if last else 0
-    return f"{count} pictures were kept" if count else "no picture was kept"
+    return f"kept: {_pictures(count)}" if count else "no picture was kept"
+
+
+def _pictures(count: int) -> str:
+    return "1 picture" if count == 1 else f"{count} pictures"
 
 
 def add(bench: Bench) -> None:
