@@ -117,8 +117,8 @@ def _reel(act: str, streams: Mapping[str, object], held_ticks: int) -> PictureRe
 def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
     """The sessions of all acts, rendered if they are not there."""
     from measure.simulation import write_session
-    from measure.simulation.boards import held_poses
     from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
+    from measure_studio.api.held_boards import held_poses
 
     scene = webcam_scene()
     points = api.read_board(api.shipped_targets()[board]).points
@@ -144,9 +144,9 @@ def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
 def _write_board(folder: Path, board: str, poses: Sequence[RigidTransform], step: Progress) -> None:
     """A session of a board at rest in some poses, two pictures of each, which differ by noise."""
     from measure.simulation import Renderer
-    from measure.simulation.boards import RenderedSheet, SheetPainter
     from measure.simulation.catalogue import webcam_scene
     from measure.simulation.sensor import develop, encode
+    from measure_studio.api.held_boards import RenderedSheet, SheetPainter
 
     target = api.shipped_targets()[board]
     printed, first = api.target_sheet(target), api.read_board(target).points[:, :2].min(axis=0)

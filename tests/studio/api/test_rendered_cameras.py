@@ -12,10 +12,10 @@ from measure import api
 from measure.calibration import read_board
 from measure.cli import main
 from measure.session import Calibration, write_body, write_calibration
-from measure.simulation.boards import held_poses
 from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
 from measure_studio import api as studio_api
 from measure_studio.api import rendered_cameras as demo
+from measure_studio.api.held_boards import held_poses
 from measure_studio.capture.mjpeg_http import HttpSource
 
 
