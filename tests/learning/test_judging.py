@@ -40,12 +40,23 @@ def test_what_differs_between_recordings_only_is_no_reason_to_doubt() -> None:
     doubts = np.stack([hard + rng.uniform(-0.5, 0.5, 2000), tells, rng.uniform(0, 1, 2000)], axis=1)
     none = np.zeros((2000, 3, 3))
     judged = Judged(left, left, none, doubts, np.zeros(2000), rows // 500)
-    constant, confounded, telling, nothing = Trust.of(judged).growth
-    assert telling / constant > 2.0  # 4 is true
-    assert confounded < 0.1 * telling
-    assert nothing < 0.3 * telling
-    pooled = Trust.of(replace(judged, recording=np.zeros(2000))).growth  # a recording for all
-    assert pooled[1] > 0.3 * pooled[2]
+    confounded, telling, nothing = _swings(Trust.of(judged), doubts)
+    assert telling > 2.0  # 5 is true
+    assert confounded < 1.3
+    assert 0.8 < nothing < 1.3
+    pooled = Trust.of(replace(judged, recording=np.zeros(2000)))  # a recording for all
+    assert _swings(pooled, doubts)[0] > 2.0
+
+
+def _swings(trust: Trust, doubts: np.ndarray) -> np.ndarray:
+    """How much larger the covariance is where each doubt is at its largest than at its least."""
+    swings = []
+    for column in range(DOUBTS):
+        ends = np.tile(doubts.mean(axis=0), (2, 1))
+        ends[:, column] = doubts[:, column].min(), doubts[:, column].max()
+        low, high = trust.tilt.factor(ends) * (trust.growth[0] + trust.growth[1] * ends[:, 0])
+        swings.append(high / low)
+    return np.array(swings)
 
 
 def test_unfamiliar_is_what_errs_more() -> None:

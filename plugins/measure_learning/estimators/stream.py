@@ -81,6 +81,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
             "grus": 1,
             "gru_epochs": -(-c.gru_epochs // 2),
             "perceptrons": -(-c.perceptrons // 3),
+            "perceptron_epochs": -(-c.perceptron_epochs // 2),
             "points": c.points // 2,
         }
         return c.model_copy(update=fewer)

@@ -50,10 +50,11 @@ class OnnxEstimator(Estimator):
 
     Where there are several recordings, groups of them are left out in turn, and the covariance of
     a correction and what is called unfamiliar are fitted to what the others' fits leave of them;
-    else to the validation trajectories. The covariance is the second moment of those residuals
-    times a sum of a constant, a power of the distance from the states learnt from (in range,
-    Mahalanobis, and in how far the joints moved lately, unless memoryless), the spread that
-    `compute` states, and the square of the correction, with factors >= 0.
+    else to the validation trajectories. The covariance is the second moment of those residuals,
+    times a constant and a power of the distance from the states learnt from (in range,
+    Mahalanobis, and in how far the joints moved lately, unless memoryless), times what tells
+    residuals of one recording apart: that distance, the spread that `compute` states, and the
+    square of the correction.
 
     Attributes:
         memoryless: whether a correction depends on the present state alone.

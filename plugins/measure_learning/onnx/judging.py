@@ -21,12 +21,15 @@ _LIMITS = 1.2, 1.35, 1.5  # distances of which one is the limit; real arms err n
 _LARGER = 1.5  # times as large residuals are a reason to call states unfamiliar
 _FEWEST = 30  # rows that show how large residuals are beyond such a limit
 _FARTHEST = 1.5  # the distance whose fourth power the covariance grows with: nothing shows farther
+_VARIANCE_MM2 = 0.01  # added to an estimator's own variance, of which the logarithm is taken
 _TRAVEL_EDGE = 0.999  # quantile of the training states' travel
 _FADING = 0.7  # of the travel, at each step of the training's rate
 _ROUND = 3.0  # recordings' worth of offsets of one size in all directions: those of a 3-D prior
 _ROUNDS, _LEAST = 12, 0.05  # of the fit of growth, and of the mean square that it may expect
+_SMALL, _RIDGE = 0.1, 0.1  # of the mean square, added to each; of the regression's mean diagonal
+_MOST_TILT = 1.0  # of the logarithm by which residuals are told apart within a recording
 _REGION_95 = 7.815 / 3.0  # 95 % quantile of chi squared with three degrees of freedom, per axis
-DOUBTS = 3  # what the covariance may grow with, see `doubts_in_graph`
+DOUBTS = 3  # what the covariance may depend on, see `doubts_in_graph`
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,11 +143,12 @@ def _faded(joints: Floats) -> Floats:
 
 
 def doubts_in_graph(graph: Graph, strangeness: Value, spread: Value, error: Value) -> Value:
-    """(N, DOUBTS): strangeness^4, the estimator's own variance and the squared correction, mm^2."""
+    """(N, DOUBTS): strangeness^4, the log of the estimator's variance, the squared correction."""
     near = graph.op("Min", strangeness, np.array([[_FARTHEST]]))
     square = graph.op("Mul", near, near)
     size = graph.op("ReduceSumSquare", error, axes=[1], keepdims=1)
-    return graph.op("Concat", graph.op("Mul", square, square), spread, size, axis=1)
+    log = graph.op("Log", graph.op("Add", spread, np.float32(_VARIANCE_MM2)))
+    return graph.op("Concat", graph.op("Mul", square, square), log, size, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,30 +198,72 @@ class Judged:
 
 
 @dataclass(frozen=True, eq=False)
+class Tilt:
+    """A factor of the covariance that tells residuals of one recording apart, by the doubts."""
+
+    scaling: Scaling
+    slopes: Floats  # (DOUBTS,) of the factor's logarithm
+
+    @classmethod
+    def of(cls, judged: Judged, place: Ints, weight: Floats) -> Tilt:
+        """Ridge regression of log squared residuals, each recording less its mean."""
+        scaling = Scaling.of(judged.doubts)
+        squared = (judged.residuals_mm**2).sum(axis=1)
+        x = _less_means(scaling.apply(judged.doubts), place)
+        level = squared - _less_means(squared[:, None], place)[:, 0]
+        y = _less_means(np.log(squared + _SMALL * level + 1e-12)[:, None], place)[:, 0]
+        normal = (x * weight[:, None]).T @ x
+        normal += (_RIDGE * np.trace(normal) / len(normal) + 1e-12) * np.eye(len(normal))
+        return cls(scaling, np.asarray(np.linalg.solve(normal, x.T @ (weight * y)), np.float64))
+
+    def factor(self, doubts: Floats) -> Floats:
+        """(n,)."""
+        log = self.scaling.apply(doubts) @ self.slopes
+        return np.asarray(np.exp(np.clip(log, -_MOST_TILT, _MOST_TILT)))
+
+    def in_graph(self, graph: Graph, doubts: Value) -> Value:
+        """(N, 1)."""
+        log = graph.op("MatMul", self.scaling.in_graph(graph, doubts), self.slopes[:, None])
+        ends = np.float32(-_MOST_TILT), np.float32(_MOST_TILT)
+        return graph.op("Exp", graph.op("Clip", log, *ends))
+
+
+def _less_means(values: Floats, place: Ints) -> Floats:
+    """Values (n, k) less those of their recordings (n,), on average."""
+    out = values.copy()
+    for one in range(place.max() + 1):
+        out[place == one] -= values[place == one].mean(axis=0)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
 class Trust:
     """The covariance of a correction, and the distance beyond which a state is unfamiliar.
 
-    The covariance is `moment` times (1, DOUBTS) @ `growth`, all >= 0.
+    The covariance is `moment` times (1, strangeness^4) @ `growth`, both >= 0, times that of `tilt`.
     """
 
     moment: Floats
     growth: Floats
+    tilt: Tilt
     limit: float
 
     @classmethod
     def of(cls, judged: Judged) -> Trust:
-        """Fit the second moment of the residuals, less the labels' own, and how it grows.
+        """Fit what tells residuals apart, their second moment less the labels', and its growth.
 
-        Recordings differ by more than their states show, so each has a level of its own while the
-        growth is fitted: what differs between them only (a kind of motion, say) explains nothing
-        within one. Then one level is taken: that of the residuals, or a higher one where the 95 %
-        region would hold less than 95 % of them (split conformal), recordings counting by the
-        root of their labels.
+        Recordings differ by more than their states show, so each has a level of its own while
+        `tilt` and `growth` are fitted: what differs between them only (a kind of motion, say)
+        explains nothing within one. Then one level is taken: that of the residuals, or a higher one
+        where the 95 % region would hold less than 95 % of them (split conformal), recordings
+        counting by the root of their labels.
         """
-        residual, noise = judged.residuals_mm, judged.labels.mean(axis=0)
         names, place, counts = np.unique(judged.recording, return_inverse=True, return_counts=True)
         weight = 1.0 / np.sqrt(counts)[place]
         weight /= weight.sum()
+        tilt = Tilt.of(judged, place, weight)
+        residual = judged.residuals_mm / np.sqrt(tilt.factor(judged.doubts))[:, None]
+        noise = judged.labels.mean(axis=0)
         moment = (residual * weight[:, None]).T @ residual
         offsets, count = judged.offsets_mm(), len(names)
         offset = offsets.T @ offsets / count  # its shape, of a few, is half chance
@@ -228,15 +274,16 @@ class Trust:
         moment = (axes * np.maximum(values, floor)) @ axes.T
         white = np.linalg.solve(moment + noise, residual.T).T
         squared = (residual * white).sum(axis=1) / 3.0
-        growth = _growth(squared, judged.doubts, place, weight)
-        scale = np.concatenate([np.ones((len(residual), 1)), judged.doubts], axis=1) @ growth
-        growth *= max(1.0, _conformal(squared / np.maximum(scale, _LEAST), weight))
-        return cls(moment, growth, _limit(judged))
+        ingredients = np.stack([np.ones(len(residual)), judged.doubts[:, 0]], axis=1)
+        growth = _growth(squared, ingredients, place, weight)
+        scale = np.maximum(ingredients @ growth, _LEAST)
+        growth *= max(1.0, _conformal(squared / scale, weight))
+        return cls(moment, growth, tilt, _limit(judged))
 
     def judge(self, name: str, judged: Judged) -> RecordingLeftOut:
         """How this covariance fits a recording that it was not fitted to."""
-        ones = np.ones((len(judged.doubts), 1))
-        scale = np.concatenate([ones, judged.doubts], axis=1) @ self.growth
+        scale = self.growth[0] + self.growth[1] * judged.doubts[:, 0]
+        scale *= self.tilt.factor(judged.doubts)
         stated = scale[:, None, None] * self.moment
         left = judged.residuals_mm
         white = np.linalg.solve(stated + judged.labels, left[:, :, None])[:, :, 0]
@@ -254,18 +301,19 @@ class Trust:
 
     def covariance(self, graph: Graph, doubts: Value) -> Value:
         """(N, 9)."""
-        scale = graph.affine(doubts, self.growth[1:, None], self.growth[:1])
+        strange = graph.columns(doubts, [0])
+        scale = graph.op("Add", graph.op("Mul", strange, self.growth[1:]), self.growth[:1])
+        scale = graph.op("Mul", scale, self.tilt.in_graph(graph, doubts))
         return graph.op("Mul", scale, self.moment.reshape(1, 9))
 
 
-def _growth(squared: Floats, doubts: Floats, place: Ints, weight: Floats) -> Floats:
-    """Factors of a constant and the doubts, of mean squares per axis whose level is a recording's.
+def _growth(squared: Floats, ingredients: Floats, place: Ints, weight: Floats) -> Floats:
+    """Factors of ingredients (n, k), of mean squares per axis whose level is a recording's.
 
     Iterated least squares: what is expected to be large varies as much more.
     """
     from scipy.optimize import nnls  # slow to load
 
-    ingredients = np.concatenate([np.ones((len(doubts), 1)), doubts], axis=1)
     squared = np.minimum(squared, np.quantile(squared, 0.99))  # outliers of labels
     expected, root = np.ones(len(squared)), np.sqrt(weight)
     mass = np.bincount(place, weight)
@@ -276,7 +324,7 @@ def _growth(squared: Floats, doubts: Floats, place: Ints, weight: Floats) -> Flo
         expected = np.maximum(ingredients @ growth, _LEAST)
         level = np.maximum(np.bincount(place, weight * squared / expected) / mass, _LEAST)
     mean = float(weight @ (ingredients @ growth))
-    return np.asarray(growth / mean) if mean > 0 else np.eye(DOUBTS + 1)[0]
+    return np.asarray(growth / mean) if mean > 0 else np.eye(len(growth))[0]
 
 
 def _conformal(squared: Floats, weight: Floats) -> float:
@@ -298,4 +346,5 @@ def _limit(judged: Judged) -> float:
     return _LIMITS[-1]
 
 
-UNJUDGED = Trust(np.eye(3), np.eye(DOUBTS + 1)[0], 1.0)
+_LEVEL = Tilt(Scaling(np.zeros(DOUBTS), np.ones(DOUBTS)), np.zeros(DOUBTS))
+UNJUDGED = Trust(np.eye(3), np.array([1.0, 0.0]), _LEVEL, 1.0)
