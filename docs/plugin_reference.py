@@ -36,7 +36,7 @@ and `Bytes` (of `measure.arrays`) are numpy arrays of float64, int64, bool and u
 errors are those of `measure.errors`; `StateSchema` is that of `measure.robots`.
 """
 SECTIONS = ("Attributes", "Args", "Returns", "Yields", "Raises", "Example", "Examples")
-MOST_ON_A_LINE = 3
+MOST_ON_A_LINE = 4
 """A record of no more fields has no section of its own."""
 _CONSTRUCTOR = "Constructor."
 
@@ -153,9 +153,11 @@ def _class(package: ModuleType, name: str) -> str:
     sections = _sections(description(package, name))
     sections.pop("Attributes", None)
     bases = [f"`{b.__name__}`" for b in described.__bases__ if b is not object]
-    prose = (f"A {', '.join(bases)}. " if bases else "") + _joined(sections)
     found = list(members(described))
-    items = [_item(shown, said) for member, shown, said in found if member[:5] != "test_"]
+    made = [f"`{shown}`. " for _, shown, said in found if said == _CONSTRUCTOR]
+    prose = "".join([f"A {', '.join(bases)}. " if bases else "", *made, _joined(sections)])
+    listed = [row for row in found if row[0][:5] != "test_" and row[2] != _CONSTRUCTOR]
+    items = [_item(shown, said) for _, shown, said in listed]
     if tests := [f"`{member}`" for member, *_ in found if member.startswith("test_")]:
         items.append(f"- Tests: {', '.join(tests)}.\n")
     if issubclass(described, enum.Enum):
@@ -165,8 +167,7 @@ def _class(package: ModuleType, name: str) -> str:
 
 def _item(declared: str, text: str) -> str:
     """A list item of one line: the declaration, and the description behind it."""
-    said = "" if text == _CONSTRUCTOR else f": {_joined(_sections(text))}"
-    return f"- `{declared}`{said}\n"
+    return f"- `{declared}`: {_joined(_sections(text))}\n"
 
 
 def _fields(described: type) -> list[tuple[str, str]]:
