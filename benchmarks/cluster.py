@@ -18,7 +18,7 @@ from pathlib import Path
 from benchmarks.command import run_command
 from benchmarks.tables import markdown
 from benchmarks.tracking_timing import long_session
-from measure.api import RunOptions, load_profile, run, run_many
+from measure.api import RunOptions, Workers, load_profile, run, run_many
 from measure.host import Registry
 
 HEAD = ("workers", "wall s", "recordings a minute", "x one worker", "poses the same")
@@ -38,7 +38,9 @@ def rows(sessions: Sequence[Path], workers: Sequence[int], out: Path) -> Iterato
             address = cluster.scheduler_address
 
             def measured(which: Sequence[Path], name: str, address: str = address) -> list[Path]:
-                done = run_many(which, out / name, profile, registry, options, cluster=address)
+                done = run_many(
+                    which, out / name, profile, registry, options, Workers(cluster=address)
+                )
                 return [one.run for one in done if one.summary]
 
             measured(sessions[:count], f"warm{count}")

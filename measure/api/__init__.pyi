@@ -41,6 +41,8 @@ from measure.api.profiles import build_pipeline, choose, load_profile, profile_n
 from measure.api.refining import BodySearch, FoundBody, RefineResult, find_body, refine
 from measure.api.results import body_names, compare, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
+from measure.api.spreading import Workers
+from measure.api.stretches import run_in_stretches
 from measure.api.synchronising import SyncedClock, sync
 from measure.calibration import Board, BoardWave, Corners, Verdict, WaveState, read_board
 from measure.calibration.boards import MirroredBoardError
@@ -60,13 +62,13 @@ __all__ = [
     "FoundBody", "Image", "Lens", "Mark", "MarkKind", "Marking", "Measurement",
     "MirroredBoardError", "Outcome", "Pipeline", "Profile", "RefineResult", "Registry", "RigWatch",
     "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet",
-    "SyncedClock", "Verdict", "WaveState", "begin_marks", "board_frame", "board_length",
+    "SyncedClock", "Verdict", "WaveState", "Workers", "begin_marks", "board_frame", "board_length",
     "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose", "compare",
     "contents_of", "demo", "described", "detect", "draw", "draw_target", "drawings", "evaluate",
     "evaluation_tables", "events", "export", "find_body", "find_target", "inside", "learnt_colors",
     "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "next_free",
     "output", "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
     "read_body", "read_calibration", "refine", "relative_measurements", "render_demo", "report",
-    "run", "run_many", "sampled_color", "shipped_targets", "sync", "target_sheet", "write_body",
-    "write_calibration", "write_measured_board", "write_sampled_body",
+    "run", "run_in_stretches", "run_many", "sampled_color", "shipped_targets", "sync",
+    "target_sheet", "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

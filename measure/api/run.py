@@ -83,8 +83,8 @@ def run(
         session = stack.enter_context(options.open(session_path))
         total = len(session.pair().times_s)
         options.check_viewer()
-        made_from = _of_session(session, profile, registry)
-        writer = stack.enter_context(_writer(session, out, made_from, options))
+        origin = made_from(session, profile, registry)
+        writer = stack.enter_context(open_writer(session, out, origin, options))
         kept = writer.kept
         if kept:
             on_note(f"resumed at frame set {kept} of {total}")
@@ -145,7 +145,8 @@ def provenance(
     )
 
 
-def _of_session(session: Session, profile: Profile, registry: Registry) -> Provenance:
+def made_from(session: Session, profile: Profile, registry: Registry) -> Provenance:
+    """`provenance` of a run of this session."""
     return provenance(
         session.calibration_path,
         session.bodies,
@@ -163,10 +164,11 @@ def _of_session(session: Session, profile: Profile, registry: Registry) -> Prove
     )
 
 
-def _writer(session: Session, out: Path, made_from: Provenance, options: RunOptions) -> RunWriter:
+def open_writer(session: Session, out: Path, origin: Provenance, options: RunOptions) -> RunWriter:
+    """What writes a run of this session, made from `origin`."""
     return RunWriter(
         out,
-        made_from,
+        origin,
         session.bodies,
         session.cameras,
         resume=options.resume,

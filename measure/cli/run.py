@@ -26,8 +26,9 @@ class _ExecutionOptions:
 
     Attributes:
         resume: go on with an interrupted run: what it kept stays, the rest is measured.
-        workers: how many sessions to measure at a time; as many as there are cores.
-        cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do the work.
+        workers: how many processes measure several sessions side by side, as many as there are
+            cores if omitted; or stretches of a long one, which this process measures if omitted.
+        cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do so instead.
     """
 
     resume: bool = False
@@ -70,15 +71,18 @@ def run(
     )
     if not sessions:
         raise ConfigError("no session to measure: give its folder")
-    if len(sessions) > 1 or execution.cluster is not None:
-        workers, cluster = execution.workers, execution.cluster
+    workers = api.Workers(execution.workers, execution.cluster)
+    if len(sessions) > 1:
         with console.progress("measuring", "recordings") as report:
-            outcomes = api.run_many(
-                sessions, out, chosen, registry, options, workers, cluster, progress=report
-            )
+            outcomes = api.run_many(sessions, out, chosen, registry, options, workers, report)
         return _print_outcomes(outcomes, out, json)
     with console.progress("measuring") as report:
-        summary = api.run(sessions[0], out, chosen, registry, options, report, console.note)
+        if workers == api.Workers():
+            summary = api.run(sessions[0], out, chosen, registry, options, report, console.note)
+        else:
+            summary = api.run_in_stretches(
+                sessions[0], out, chosen, registry, options, workers, report, console.note
+            )
     _print_one(summary, sessions[0], out, json)
     return 0
 

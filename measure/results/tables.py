@@ -16,8 +16,8 @@ from measure.arrays import Floats, Ints
 from measure.host.sink import PLACE as PLACE
 from measure.host.sink import QUALITY as QUALITY
 from measure.host.sink import pose_columns
-from measure.measuring import Measurement
-from measure.model import BallView
+from measure.measuring import Measurement, relative_measurements
+from measure.model import BallView, Body, Camera
 
 _F, _I, _S = pa.float64(), pa.int32(), pa.string()
 _FRAME = pa.int64()  # Pictures may be numbered by the microseconds since 1970
@@ -103,12 +103,37 @@ def csv_heading(columns: Sequence[str]) -> bytes:
     return ",".join(columns).encode() + b"\n"
 
 
-def rows_of(measured: Measurement) -> dict[str, list[dict[str, Any]]]:
+Rows: TypeAlias = dict[str, list[dict[str, Any]]]
+"""Rows by table."""
+
+
+def frame_set_rows(
+    bodies: Sequence[Body],
+    measured: Sequence[Measurement],
+    reference: str,
+    cameras: Sequence[Camera],
+) -> Rows:
+    """A frame set's measurements, one of each body, as rows; also relative to a reference body."""
+    rows: Rows = {}
+    for body, one in zip(bodies, measured, strict=True):
+        for name, some in _rows_of(one).items():
+            for row in some if len(bodies) > 1 else ():
+                row[BODY] = body.name
+            rows.setdefault(name, []).extend(some)
+    if reference:
+        relative = relative_measurements(bodies, measured, reference, cameras)
+        rows["relative"] = [
+            {BODY: name, "reference": reference, **_pose_row(one)} for name, one in relative.items()
+        ]
+    return rows
+
+
+def _rows_of(measured: Measurement) -> Rows:
     """A measurement as rows, by table; a frame set without a pose has a row all the same."""
     return {
         "detections": [_detection_row(measured, view) for view in measured.views],
         "balls": list(_ball_rows(measured)),
-        "poses": [pose_row(measured)],
+        "poses": [_pose_row(measured)],
     }
 
 
@@ -170,7 +195,7 @@ def _ball_rows(measured: Measurement) -> Iterator[dict[str, Any]]:
         }
 
 
-def pose_row(measured: Measurement) -> dict[str, Any]:
+def _pose_row(measured: Measurement) -> dict[str, Any]:
     """Its row of the table of poses."""
     return {
         "index": measured.index,

@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import pyarrow as pa
 
 from measure.errors import RunError
-from measure.measuring import Measurement, relative_measurements
+from measure.measuring import Measurement
 from measure.model import Body, Camera
 from measure.results.folder import FolderLock, check_run_folder, clear, own_files, refuse_folder
 from measure.results.journal import (
@@ -30,14 +30,13 @@ from measure.results.run import Run, runs_of
 from measure.results.stored import read_tables, refuse_other_run
 from measure.results.summary import Summary, together
 from measure.results.tables import (
-    BODY,
     RELATIVE_COLUMNS,
+    Rows,
     csv_columns,
     csv_heading,
     csv_line,
     csv_lines,
-    pose_row,
-    rows_of,
+    frame_set_rows,
     schemas,
 )
 from measure.session import Calibration, dump_toml, write_bodies, write_body, write_calibration
@@ -148,28 +147,17 @@ class RunWriter:
 
         RunError: it cannot be written (disk full), what was written before is kept.
         """
+        self.append_rows(frame_set_rows(self._bodies, measured, self._reference, self._cameras), 1)
+
+    def append_rows(self, rows: Rows, frame_sets: int) -> None:
+        """The same of the rows of some frame sets, from `frame_set_rows`."""
         self.begin()
         with writing(self._folder):
-            rows: dict[str, list[dict[str, Any]]] = {name: [] for name in self._journals}
-            for body, one in zip(self._bodies, measured, strict=True):
-                for name, some in rows_of(one).items():
-                    rows[name] += some
-                    if len(self._bodies) > 1:
-                        for row in some:
-                            row[BODY] = body.name
-            if self._reference:
-                relative = relative_measurements(
-                    self._bodies, measured, self._reference, self._cameras
-                )
-                rows["relative"] = [
-                    {BODY: name, "reference": self._reference, **pose_row(one)}
-                    for name, one in relative.items()
-                ]
             for name, journal in self._journals.items():
                 journal.add(rows[name])
             for name, file in self._csv.items():
                 file.append(b"".join(csv_line(row, self._columns[name]) for row in rows[name]))
-            self._frame_sets += 1
+            self._frame_sets += frame_sets
             if self._clock() - self._flushed_s >= FLUSH_EVERY_S:
                 self._flush()
 

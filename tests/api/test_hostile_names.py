@@ -227,6 +227,7 @@ WRITES: dict[str, Callable[[Place], Any]] = {
         p.run, "raven2", p.session / "cam1.csv"
     ),
     "run": lambda p: _profiled(api.run, p.session, p.out / "run"),
+    "run_in_stretches": lambda p: _profiled(api.run_in_stretches, p.session, p.out / "run"),
     "run_many": lambda p: _profiled(api.run_many, [p.session], p.out / "many"),
     "sync": lambda p: api.sync(
         p.session, Registry.discover(), api.load_profile("paper"), p.out / "s.toml"

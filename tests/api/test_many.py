@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from measure.api import RunOptions, load_profile, run, run_many
+from measure.api import RunOptions, Workers, load_profile, run, run_many
 from measure.errors import ConfigError
 from measure.host import Registry
 from measure.results import read_run
@@ -51,9 +51,9 @@ def one_by_one(sessions, tmp_path_factory) -> dict[str, str]:
     return poses(out)
 
 
-def measure(sessions, out, **kwargs):
-    kwargs.setdefault("workers", 1)
-    return run_many(sessions, out, load_profile(), Registry.discover(), QUIET, **kwargs)
+def measure(sessions, out, workers=1, cluster=None, **kwargs):
+    who = Workers(workers, cluster)
+    return run_many(sessions, out, load_profile(), Registry.discover(), QUIET, who, **kwargs)
 
 
 def poses(out: Path) -> dict[str, str]:
