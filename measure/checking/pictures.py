@@ -302,10 +302,17 @@ def _is_combed(pixels: Bytes, ball: Detection) -> bool:
     part = pixels[max(round(y - r), 0) : round(y + r) + 1, max(round(x - r), 0) : round(x + r) + 1]
     if min(part.shape[:2]) < 3:
         return False
-    rows = part.astype(np.int16)
+    # Noise, and what JPEG makes of it, does so along rows as well.
+    combed = _alternating(part) - _alternating(part.transpose(1, 0, 2))
+    return combed > _COMB_SHARE * 2 * math.pi * ball.radius_px
+
+
+def _alternating(pixels: Bytes) -> int:
+    """How many pixels differ from the rows above and below by as much, the same way."""
+    rows = pixels.astype(np.int16)
     up, down = rows[1:-1] - rows[:-2], rows[1:-1] - rows[2:]
     same = (np.minimum(up, down) > _COMB_LEVELS) | (np.maximum(up, down) < -_COMB_LEVELS)
-    return bool(same.any(axis=2).sum() > _COMB_SHARE * 2 * math.pi * ball.radius_px)
+    return int(same.any(axis=2).sum())
 
 
 class ColorlessCount:
