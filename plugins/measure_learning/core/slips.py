@@ -202,7 +202,8 @@ class Misfit:
         few = _some(len(self.residuals), _WEIGHED)
         slopes = np.concatenate([self.slopes[few], extra[few]], axis=2)
         r = self.residuals[few]
-        weights = np.linalg.inv(self.covariances[few].mean(axis=0) + r.T @ r / len(r))
+        # Poses that state no covariance and differ by a constant leave it singular.
+        weights = np.linalg.pinv(self.covariances[few].mean(axis=0) + r.T @ r / len(r))
         N = np.einsum("nap,ab,nbq->pq", slopes, weights, slopes, optimize=True)
         g = np.einsum("nap,ab,nb->p", slopes, weights, r, optimize=True)
         known = np.concatenate([self.known, np.zeros(extra.shape[2])])
