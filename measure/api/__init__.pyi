@@ -39,7 +39,7 @@ from measure.api.measuring import measure_bodies, measure_session
 from measure.api.outputs import new_folder, output
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.refining import BodySearch, FoundBody, RefineResult, find_body, refine
-from measure.api.results import body_names, compare, evaluate, export, report
+from measure.api.results import body_names, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.spreading import Workers
 from measure.api.stretches import run_in_stretches
@@ -63,8 +63,8 @@ __all__ = [
     "MirroredBoardError", "Outcome", "Pipeline", "Profile", "RefineResult", "Registry", "RigWatch",
     "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet",
     "SyncedClock", "Verdict", "WaveState", "Workers", "begin_marks", "board_frame", "board_length",
-    "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose", "compare",
-    "contents_of", "demo", "described", "detect", "draw", "draw_target", "drawings", "evaluate",
+    "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose", "contents_of",
+    "demo", "described", "detect", "draw", "draw_target", "drawings", "evaluate",
     "evaluation_tables", "events", "export", "find_body", "find_target", "inside", "learnt_colors",
     "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "next_free",
     "output", "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",

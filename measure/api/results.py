@@ -13,8 +13,6 @@ from measure.api.outputs import output
 from measure.errors import MeasureError, RunError
 from measure.results import Run, RunEvaluation, read_marks, read_run, read_runs
 from measure.results import evaluate as evaluate_run
-from measure.results.comparing import Comparison
-from measure.results.comparing import compare as compare_runs
 from measure.results.evaluation import pose_errors
 from measure.results.exporting import export_run
 from measure.results.folder import own_files
@@ -155,11 +153,6 @@ def export(
     with output(path, overwrite, own_files(Path(run))) as file:
         export_run(_chosen(Path(run), body), file_format, file, smooth_s, velocity)
     return path
-
-
-def compare(first: Path | str, second: Path | str, body: str | None = None) -> Comparison:
-    """What differs between two runs, or one body of them, and by how many standard deviations."""
-    return compare_runs(read_run(Path(first), body), read_run(Path(second), body))
 
 
 def _chosen(run: Path, body: str | None) -> list[Run]:

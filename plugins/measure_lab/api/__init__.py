@@ -1,9 +1,10 @@
 """What a notebook calls to make lengths, tips and worlds of poses, one function an action."""
 
 from measure_lab.api.accepting import Accepted, accept
+from measure_lab.api.comparing import Comparison, compare
 from measure_lab.api.metrology import RestsSoFar, TipResult, pivot, rests, world, world_by_board
 
 __all__ = [
-    "Accepted", "RestsSoFar", "TipResult", "accept", "pivot", "rests", "world",
-    "world_by_board",
+    "Accepted", "Comparison", "RestsSoFar", "TipResult", "accept", "compare", "pivot", "rests",
+    "world", "world_by_board",
 ]  # fmt: skip

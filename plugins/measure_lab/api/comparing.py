@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from measure.geometry import RigidTransform
 from measure.metrology.poses import independent_count
 from measure.results.pose_table import poses_of
 from measure.results.provenance import flat
-from measure.results.run import Run
+from measure.results.run import Run, read_run
 from measure.results.tables import QUALITY, numbers, texts
 
 _POSE = ("x_mm", "y_mm", "z_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
@@ -49,7 +50,7 @@ class Comparison:
     figures: tuple[Figure, ...]
 
 
-def compare(first: Run, second: Run) -> Comparison:
+def compare_runs(first: Run, second: Run) -> Comparison:
     """Compare two runs of one body; RunError: one of them holds no unflagged pose."""
     for run in (first, second):
         if not len(poses_of(run)):
@@ -136,3 +137,8 @@ def _ball_figures(first: Run, second: Run) -> Iterator[Figure]:
             sd = float(np.hypot(one.uncertainty_mm, other.uncertainty_mm))
             what = f"{' - '.join(one.balls)}_mm"
             yield Figure(what, one.mean_mm, other.mean_mm, other.mean_mm - one.mean_mm, sd)
+
+
+def compare(first: Path | str, second: Path | str, body: str | None = None) -> Comparison:
+    """What differs between two runs, or one body of them, and by how many standard deviations."""
+    return compare_runs(read_run(Path(first), body), read_run(Path(second), body))

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from measure import api
 from measure.cli import main
 from measure.errors import RunError
 from measure.metrology.poses import PoseTable
 from measure.simulation import random_motion
+from measure_lab import api as lab
 from tests.metrology.recordings import Errors, poses_of, write_run
 from tests.metrology.test_smoothing import MIDDLE, TIMES
 
@@ -38,7 +38,7 @@ def test_a_shift_between_two_settings_is_found_by_its_axis(poses, tmp_path, rng)
     other = write_run(
         tmp_path / "other", moved(poses, shift, rng), profile={"name": "paper", "tone": "linear"}
     )
-    found = api.compare(one, other)
+    found = lab.compare(one, other)
     assert found.same_session
     assert found.paired == len(poses)
     told = figures(found)
@@ -55,7 +55,7 @@ def test_a_shift_between_two_settings_is_found_by_its_axis(poses, tmp_path, rng)
 def test_frame_sets_flagged_in_either_are_counted_and_left_out(poses, tmp_path):
     one = write_run(tmp_path / "one", poses, flagged=frozenset(range(10)))
     other = write_run(tmp_path / "other", poses, flagged=frozenset(range(5, 12)))
-    found = api.compare(one, other)
+    found = lab.compare(one, other)
     assert found.paired == len(poses) - 12
     assert found.states == {"ok": (110, 113), "flagged": (10, 7)}
     assert all(figure.difference == 0 for figure in found.figures)
@@ -82,4 +82,4 @@ def test_a_run_without_poses_is_refused(poses, tmp_path: Path):
     one = write_run(tmp_path / "one", poses)
     none = write_run(tmp_path / "none", poses, flagged=frozenset(range(len(poses))))
     with pytest.raises(RunError, match="none holds no unflagged pose"):
-        api.compare(one, none)
+        lab.compare(one, none)

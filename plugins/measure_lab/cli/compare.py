@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag
+from measure_lab import api
 
 _MOST_SETTINGS = 10
 
