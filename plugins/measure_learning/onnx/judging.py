@@ -224,8 +224,8 @@ class Tilt:
     def in_graph(self, graph: Graph, doubts: Value) -> Value:
         """(N, 1)."""
         log = graph.op("MatMul", self.scaling.in_graph(graph, doubts), self.slopes[:, None])
-        ends = np.float32(-_MOST_TILT), np.float32(_MOST_TILT)
-        return graph.op("Exp", graph.op("Clip", log, *ends))
+        low, high = np.float32(-_MOST_TILT), np.float32(_MOST_TILT)
+        return graph.op("Exp", graph.op("Clip", log, low, high))
 
 
 def _less_means(values: Floats, place: Ints) -> Floats:
