@@ -39,7 +39,7 @@ from measure.checking.clocks import CameraClock
 from measure.checking.coverage import disagreeing_causes
 from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose
 from measure.checking.motion import MotionCheck, check_motion, flag_findings
-from measure.checking.pictures import gaps_alone, rate_causes
+from measure.checking.pictures import burst_causes, gaps_alone, rate_causes
 from measure.checking.sightings import evidence_of
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
@@ -160,6 +160,7 @@ def _together(
     elsewhere = [c for c in disagreeing_causes(searched) if not blamed & {ALL, c.of}]
     rest = [*elsewhere, *diagnosis.causes]
     if not known:
+        shape = () if diagnosis.fits else shape  # two colours on one ball are two balls to it
         rest = elsewhere or list(shape) or list(diagnosis.causes) or list(sized)
     # What pictures that are not what they seem show of clocks and places is no cause.
     said = {name for cause in pictures for name in cause.of.split(", ")}
@@ -299,9 +300,11 @@ class _Looking:
             every.append(seen)
             self.step()
         shape = check_body(located, session.body)
+        times_s = {name: s.times_s for name, s in session.streams.items()}
         causes = [
             *duplicates.causes(),
-            *rate_causes({name: s.times_s for name, s in session.streams.items()}),
+            *burst_causes(times_s),
+            *rate_causes(times_s),
             *arrangement_causes(every, searched, session.body, session.cameras),
             *combs.causes(),
         ]
@@ -313,8 +316,7 @@ class _Looking:
             diagnosis = self._diagnosed(searched, every, measured, shape)
             sized = size_causes(session.body, motion.sizes) if motion.sizes else []
             causes = _together(causes, diagnosis, [*shape.causes], searched, sized)
-        pictures = [*self._stalls(duplicates)]
-        pictures += colorless.findings() + overexposed.findings()
+        pictures = self._stalls(duplicates) + colorless.findings() + overexposed.findings()
         return _Look(self._total, searched, shape, motion, pictures, tuple(causes), diagnosis)
 
     def _diagnosed(

@@ -11,7 +11,7 @@ from measure.arrays import Floats
 from measure.checking.causes import ALL, Cause, Word
 from measure.checking.clocks import CameraClock
 from measure.checking.evidence import SEARCHED_PX, TRACKED_PX, Evidence
-from measure.checking.explaining import Explanation, explain, worst_camera
+from measure.checking.explaining import Explanation, Fit, explain, worst_camera
 from measure.checking.finding import Level
 from measure.checking.hypotheses import Hypothesis
 
@@ -35,6 +35,11 @@ class Diagnosis:
     left: float = 0.0
 
     @property
+    def fits(self) -> bool:
+        """Whether all that was seen agrees with the rig as it is stated."""
+        return 0 < self.misfit < _UNEXPLAINED[TRACKED_PX]
+
+    @property
     def unexplained(self) -> bool:
         """Whether more is left than any healthy recording leaves."""
         return self.left > _UNEXPLAINED[SEARCHED_PX]
@@ -45,7 +50,8 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
     if evidence is None:
         return Diagnosis()
     found, misfit, fit = explain(evidence)
-    causes = [cause for one in found if (cause := _cause(evidence, one, squares)) is not None]
+    told = _without_consequences([one for one in found if _matters(evidence, one)])
+    causes = [_cause(evidence, one, squares) for one in told]
     left = 0.0 if fit is None else fit.left
     most = _UNEXPLAINED[evidence.systematic_px]
     if fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
@@ -67,19 +73,39 @@ def _unknown(camera: str | None, others: Sequence[Cause]) -> Cause:
     )
 
 
-def _cause(evidence: Evidence, one: Explanation, squares: bool) -> Cause | None:
-    """In words; None for what is too small to matter."""
+def _matters(evidence: Evidence, one: Explanation) -> bool:
+    """Whether it is large enough to be told."""
+    return one.hypothesis.word is not Word.CLOCK or _off_s(evidence, one) >= _CLOCK_NAMED_S
+
+
+def _off_s(evidence: Evidence, one: Explanation) -> float:
+    """By how much a clock is off at most."""
+    off = one.hypothesis.profile(evidence.times_s) @ one.fit.last()[0]
+    return float(np.max(np.abs(off)))
+
+
+def _without_consequences(found: Sequence[Explanation]) -> list[Explanation]:
+    """All but where a zoomed camera points: it zooms about another point than the principal one."""
+    zoomed, out = set[str](), []
+    for one in found:
+        word, of = one.hypothesis.word, one.hypothesis.of
+        zoomed |= {of} if word is Word.ZOOM else set()
+        if not (word in (Word.MOVED, Word.POINT) and zoomed & {of, ""}):
+            out.append(one)
+    return out
+
+
+def _cause(evidence: Evidence, one: Explanation, squares: bool) -> Cause:
+    """In words."""
     hypothesis = one.hypothesis
     values, covariance = one.fit.last()
     size = float(np.linalg.norm(values))
     axis = values / max(size, 1e-30)
     sd = float(np.sqrt(max(float(axis @ covariance @ axis), 0.0)))
-    part = _Search(evidence, hypothesis, values, size, sd)
+    part = _Search(evidence, hypothesis, one.fit, values, size, sd)
     level = Level.WRONG if one.wrong else Level.WEAK
     if hypothesis.word is Word.CLOCK:
-        if size < _CLOCK_NAMED_S:
-            return None
-        level = Level.WRONG if size > _CLOCK_WRONG_S else Level.WEAK
+        level = Level.WRONG if _off_s(evidence, one) > _CLOCK_WRONG_S else Level.WEAK
     if hypothesis.word is Word.RADIUS:
         level = Level.WRONG if size > _RADIUS_WRONG else Level.WEAK
     if hypothesis.word is Word.ROLLING:
@@ -103,6 +129,7 @@ class _Search:
 
     evidence: Evidence
     hypothesis: Hypothesis
+    fit: Fit
     values: Floats  # (q,)
     size: float  # their length
     sd: float  # and its standard deviation
@@ -137,6 +164,8 @@ _Told = tuple[float, float, str, str, str]
 
 
 def _clock(part: _Search) -> _Told:
+    if part.hypothesis.drifts:
+        return _rate_told(part)
     return _clock_told(part.who, float(part.values[0]), part.sd)
 
 
@@ -144,6 +173,22 @@ def _clock_told(camera: str, off_s: float, sd_s: float) -> _Told:
     text = f"{camera}: the clock is {1e3 * off_s:+.1f} +- {1e3 * sd_s:.1f} ms off the others"
     remedy = f"add {off_s:+.4f} to its time_offset_s in session.toml (`measure sync` does)"
     return 1e3 * off_s, 1e3 * sd_s, "ms", text, remedy
+
+
+def _rate_told(part: _Search) -> _Told:
+    """Of a clock that drifts: what is to be added to its stamps grows."""
+    rate, times_s = float(part.values[-1]), part.evidence.times_s
+    _, covariance = part.fit.last()
+    sd, fast = float(np.sqrt(covariance[-1, -1])), "slow" if rate > 0 else "fast"
+    text = (
+        f"{part.who}: its stamps run {100 * abs(rate):.2f} +- {100 * sd:.2f} % {fast}, "
+        f"{1e3 * abs(rate) * float(np.ptp(times_s)):.0f} ms in {float(np.ptp(times_s)):.1f} s"
+    )
+    remedy = (
+        "was it recorded at another rate than is stated, have pictures been lost, or does its "
+        f"clock drift? Give it stamps of its own, or take its rate {1 - rate:.5f} times as high"
+    )
+    return -100 * rate, 100 * sd, "%", text, remedy
 
 
 def clock_cause(camera: str, ahead_s: float, rest: CameraClock | None) -> Cause:

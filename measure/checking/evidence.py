@@ -45,6 +45,7 @@ class Sighting(NamedTuple):
     world_from_body: RigidTransform  # near the truth
     velocity: Floats  # (6,) in the pose's `perturb` chart, per second
     detections: Sequence[Detection]  # at most one per camera and ball
+    systematic_px: float | None = None  # of their error; None as the evidence says
 
 
 class Linear(NamedTuple):
@@ -101,9 +102,11 @@ class Evidence:
             return None
         radii = np.array([d.radius_px for _, d in rows])
         whitening = np.zeros((len(rows), 3, 3))
-        noise = np.stack([d.covariance_px for _, d in rows]) + systematic_px**2 * np.eye(2)
+        alike_px = np.array([sightings[k].systematic_px or systematic_px for k, _ in rows])
+        noise = np.stack([d.covariance_px for _, d in rows])
+        noise = noise + alike_px[:, None, None] ** 2 * np.eye(2)
         whitening[:, :2, :2] = np.linalg.inv(np.linalg.cholesky(noise))
-        size_px = np.hypot(systematic_px, np.sqrt([d.variance_px2 for _, d in rows]))
+        size_px = np.hypot(alike_px, np.sqrt([d.variance_px2 for _, d in rows]))
         whitening[:, 2, 2] = radii / size_px
         centers = np.stack([d.center_px for _, d in rows])
         poses = [s.world_from_body for s in sightings]

@@ -29,8 +29,9 @@ _SIZE, _WEAK, _WRONG = 0.9973, 1 - 6.3e-5, 1 - 2e-9
 """Shares of a normal variable within three, four and six standard deviations."""
 _BOUNDED = (Word.RADIUS, Word.SCALE)
 """Causes whose standard deviation bounds a bias, and is no scatter: less of it tells."""
-_RIVAL_SHARE, _RIVAL_GAIN = 0.1, 16.0
-"""What gains less than the best by no more than this share, or this much, is a rival."""
+_RIVAL_SHARE, _RIVAL_GAIN, _RIVAL_LEFT = 0.1, 16.0, 2.0
+"""What gains less than the best by no more than this share, or this much, is as good if it is
+simpler; and what leaves no more than so many times what the best leaves is a rival."""
 _RARE_PRICE = 15.0
 """Of the principal point of one camera, in chi-square: cameras are touched far more often. So much
 less costs a clock that steps where its stamps have a gap."""
@@ -142,7 +143,7 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
     rivals = []
     for fit in others:
         name = fit.hypotheses[-1].word, fit.hypotheses[-1].of
-        if name not in own:
+        if name not in own and fit.left < _RIVAL_LEFT * best.left:
             own.add(name)
             rivals.append(fit)
     left = max(here.cost - best.freedom, gain)
@@ -171,7 +172,11 @@ def _screened(evidence: Evidence, here: Fit) -> Iterator[tuple[float, Hypothesis
     system = _system(evidence, here)
     total = system.from_instant(0)
     for hypothesis in hypotheses(evidence):
-        yield _score(evidence, system, total, hypothesis), hypothesis
+        if hypothesis.drifts:
+            sums = system.of_profile(hypothesis.basis, hypothesis.profile(evidence.times_s))
+        else:
+            sums = system.of_part(hypothesis.basis, *total)
+        yield _score(evidence, system, sums, hypothesis), hypothesis
     count = len(evidence.times_s)
     splits = range(_MIN_PART, count - _MIN_PART + 1)
     for since in splits[:: -(-max(len(splits), 1) // _MAX_SPLITS)]:
@@ -179,7 +184,8 @@ def _screened(evidence: Evidence, here: Fit) -> Iterator[tuple[float, Hypothesis
         for index, camera in enumerate(evidence.cameras):
             for one in of_camera(evidence, index, camera.name):
                 later = one._replace(word=MIDWAY[one.word], since=since)
-                yield _score(evidence, system, part, later), later
+                sums = system.of_part(one.basis, *part)
+                yield _score(evidence, system, sums, later), later
 
 
 class _System(NamedTuple):
@@ -188,12 +194,31 @@ class _System(NamedTuple):
     normal: Floats  # (k, p, p)
     right: Floats  # (k, p)
     nuisance: list[int]  # columns that are always free
-    fixed: Floats  # (m, m) and
-    others: Floats  # (m, p) of the nuisance, over all instants
+    fixed: Floats  # (m, m) of the nuisance, over all instants
 
     def from_instant(self, since: int) -> tuple[Floats, Floats]:
         """Their sums from an instant on."""
         return self.normal[since:].sum(axis=0), self.right[since:].sum(axis=0)
+
+    def of_part(self, basis: Floats, normal: Floats, right: Floats) -> _Sums:
+        """Of a hypothesis that holds for a part of the instants."""
+        by_basis = normal @ basis
+        return _Sums(basis.T @ by_basis, by_basis[self.nuisance], basis.T @ right)
+
+    def of_profile(self, basis: Floats, profile: Floats) -> _Sums:
+        """Of one of which so much of each parameter holds (k, q) at each instant."""
+        by_basis = (self.normal @ basis) * profile[:, None, :]
+        own = np.einsum("pi,kpj,ki->ij", basis, by_basis, profile, optimize=True)
+        right = np.sum(self.right @ basis * profile, axis=0)
+        return _Sums(own, by_basis[:, self.nuisance].sum(axis=0), right)
+
+
+class _Sums(NamedTuple):
+    """Normal equations of q parameters of a hypothesis, beside the nuisance."""
+
+    own: Floats  # (q, q)
+    cross: Floats  # (m, q)
+    right: Floats  # (q,)
 
 
 def _system(evidence: Evidence, here: Fit) -> _System:
@@ -203,23 +228,17 @@ def _system(evidence: Evidence, here: Fit) -> _System:
     nuisance = [evidence.shared(EDGE)]
     total = normal.sum(axis=0)
     fixed = total[np.ix_(nuisance, nuisance)] + _edge_prior(evidence) * np.eye(1)
-    return _System(normal, right, nuisance, fixed, total[nuisance])
+    return _System(normal, right, nuisance, fixed)
 
 
 def _edge_prior(evidence: Evidence) -> float:
     return 1 / (_EDGE_SHARE * evidence.systematic_px) ** 2
 
 
-def _score(
-    evidence: Evidence, system: _System, part: tuple[Floats, Floats], hypothesis: Hypothesis
-) -> float:
+def _score(evidence: Evidence, system: _System, sums: _Sums, hypothesis: Hypothesis) -> float:
     """The gain in chi-square near the state, less the price."""
-    normal, right = part
-    cross = normal[system.nuisance] @ hypothesis.basis
-    own = hypothesis.basis.T @ normal @ hypothesis.basis
-    own = own - cross.T @ np.linalg.solve(system.fixed, cross)
-    some = hypothesis.basis.T @ right
-    gain = float(some @ symmetric_inverse(own) @ some)
+    own = sums.own - sums.cross.T @ np.linalg.solve(system.fixed, sums.cross)
+    gain = float(sums.right @ symmetric_inverse(own) @ sums.right)
     return gain - _price(hypothesis, evidence)
 
 
@@ -280,17 +299,15 @@ def _linearised(
     evidence: Evidence, poses: RigidTransform, some: Sequence[Hypothesis], values: Floats
 ) -> Linear:
     """The evidence about hypotheses with values (q + 1,), the last of which is that of the edge."""
-    holds = [h.holds(evidence.instants) for h in some]
-    codes = sum((2**k * held for k, held in enumerate(holds)), np.zeros(len(evidence), np.int64))
-    kinds, states = np.unique(codes, return_inverse=True)
-    rigs = np.zeros((len(kinds), evidence.size))
+    at, rigs = 0, np.zeros((len(evidence.times_s), evidence.size))
     rigs[:, evidence.shared(EDGE)] = values[-1]
-    at = 0
-    for k, hypothesis in enumerate(some):
+    for hypothesis in some:
         count = hypothesis.basis.shape[1]
-        rigs[kinds >> k & 1 > 0] += hypothesis.basis @ values[at : at + count]
+        held = hypothesis.profile(evidence.times_s) * values[at : at + count]
+        rigs += held @ hypothesis.basis.T
         at += count
-    return evidence.linearised(poses, rigs, states)
+    kinds, states = np.unique(rigs, axis=0, return_inverse=True)
+    return evidence.linearised(poses, kinds, states.reshape(-1)[evidence.instants])
 
 
 def fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = None) -> Fit:
@@ -307,7 +324,8 @@ def fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = N
     for _ in range(_ITERATIONS):
         linear = _linearised(evidence, poses, some, values)
         columns = [
-            (linear.by_rig @ h.basis) * h.holds(evidence.instants)[:, None, None] for h in some
+            (linear.by_rig @ h.basis) * h.profile(evidence.times_s)[evidence.instants, None]
+            for h in some
         ]
         columns.append(linear.by_rig[:, :, [evidence.shared(EDGE)]])
         parts = _Normal.of(evidence, linear, np.concatenate(columns, axis=2))

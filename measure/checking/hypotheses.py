@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Bools, Floats, Ints
+from measure.arrays import Floats
 from measure.checking.causes import Word
 from measure.checking.evidence import (
     CLOCK,
@@ -38,10 +38,15 @@ class Hypothesis(NamedTuple):
     of: str  # the camera or ball; empty for all
     basis: Floats  # (p, q) the rig's parameters by those of the hypothesis
     since: int | None = None  # the first instant for which it holds; None for all
+    drifts: bool = False  # the last parameter grows with time, by its value a second
 
-    def holds(self, instants: Ints) -> Bools:
-        """At which instants (n,)."""
-        return instants >= (self.since or 0)
+    def profile(self, times_s: Floats) -> Floats:
+        """How much of each of its parameters holds (k, q) at instants (k,)."""
+        out = np.ones((len(times_s), self.basis.shape[1]))
+        out[: self.since or 0] = 0.0
+        if self.drifts:
+            out[:, -1] = times_s - np.mean(times_s)
+        return out
 
 
 def hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -61,6 +66,8 @@ def hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
     for index, camera in enumerate(cameras):
         yield from of_camera(evidence, index, camera.name)
+        clock = columns(*evidence.of_camera(index, CLOCK))
+        yield Hypothesis(Word.CLOCK, camera.name, np.hstack([clock, clock]), drifts=True)
         yield Hypothesis(Word.ROLLING, camera.name, columns(*evidence.of_camera(index, ROLL)))
         yield Hypothesis(Word.POINT, camera.name, columns(*evidence.of_camera(index, POINT)))
         if len(cameras) > 2:

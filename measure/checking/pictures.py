@@ -103,8 +103,8 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
     gaps = np.nonzero(steps > _DROPPED_STEPS * period)[0]
     lost = int(np.sum(np.rint(steps[gaps] / period) - 1))
     notes = StampErrors.of(times_s).notes
-    if burst := _burst(camera, steps, gaps):
-        return [burst]
+    if burst_causes({camera: times_s}):
+        return []
     out = [Finding(Level.WEAK, "clock", f"{camera}: {note}") for note in notes]
     if lost:
         worst = int(gaps[np.argmax(steps[gaps])])
@@ -124,22 +124,27 @@ _BURST_STEPS, _LEAST_BURSTS = 3.0, 3
 """Mean step in median steps, from which pictures come in bursts; and of how many that is known."""
 
 
-def _burst(camera: str, steps: Floats, gaps: Ints) -> Finding | None:
-    """A line if pictures arrive several at once, with stamps of their arrival."""
-    sizes = np.diff(gaps)
-    mean_s = float(np.mean(steps))
-    if len(sizes) < _LEAST_BURSTS or mean_s < _BURST_STEPS * np.median(steps):
-        return None
-    size = int(np.median(sizes))
-    if size < 2 or np.mean(np.abs(sizes - size) <= 1) < 0.8:
-        return None
-    every_ms = 1e3 * float(np.median(np.diff(np.cumsum(steps)[gaps])))
-    text = (
-        f"{camera}: pictures arrive in bursts of {size} every {every_ms:.0f} ms "
-        f"({every_ms / size:.0f} ms a picture on average): the stamps are of their arrival, not of "
-        "their exposure; let the camera stamp them, or spread each burst evenly"
-    )
-    return Finding(Level.WRONG, "clock", text)
+def burst_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
+    """Cameras whose pictures arrive several at once, with stamps of their arrival."""
+    out = []
+    for camera, own in times_s.items():
+        steps = np.diff(own)
+        gaps = np.nonzero(steps > _DROPPED_STEPS * np.median(steps))[0] if len(steps) else steps
+        sizes = np.diff(gaps)
+        if len(sizes) < _LEAST_BURSTS or np.mean(steps) < _BURST_STEPS * np.median(steps):
+            continue
+        size = int(np.median(sizes))
+        if size < 2 or np.mean(np.abs(sizes - size) <= 1) < 0.8:
+            continue
+        every_ms = 1e3 * float(np.median(np.diff(np.cumsum(steps)[gaps])))
+        text = (
+            f"{camera}: pictures arrive in bursts of {size} every {every_ms:.0f} ms "
+            f"({every_ms / size:.0f} ms a picture on average): the stamps are of their arrival, "
+            "not of their exposure"
+        )
+        cure = "let the camera stamp them, or spread each burst evenly"
+        out.append(Cause(Word.CLOCK, camera, text, cure, Level.WRONG))
+    return out
 
 
 _RATE_SHARE, _COUNT_SHARE = 0.03, 0.02

@@ -18,6 +18,7 @@ from measure.model.observations import Reason
 
 MOST_INSTANTS, _FEWEST = 60, 5
 _MOTION_CONFIDENCE = 0.9999
+_APART_S = 0.5  # From what was followed, which says more of the time near it
 _AGREEING = 2  # Balls that agree with the pose, from which a camera's others are other things
 _LIKELY_RATIO = 1.6
 """Largest factor of an outline's size that a far zoomed camera may show of a ball."""
@@ -56,10 +57,15 @@ def evidence_of(
     near = {round(s.time_s, 4): s.detections for s in whole}
     chosen = np.unique(np.linspace(0, len(tracked) - 1, most).round().astype(int)).tolist()
     completed = [
-        Sighting(tracked[k].time_s, *motion, list(_preferred(tracked[k], near, not searched)))
+        Sighting(tracked[k].time_s, *motion, list(_preferred(tracked[k], near)))
         for k, motion in zip(chosen, _motions(tracked, chosen), strict=True)
     ]
-    return Evidence.of(completed, body, cameras, TRACKED_PX, gaps_s)
+    # What was searched before and after tells of what changes slowly.
+    first_s, last_s = tracked[0].time_s - _APART_S, tracked[-1].time_s + _APART_S
+    beyond = [s._replace(systematic_px=SEARCHED_PX) for s in whole]
+    beyond = [s for s in beyond if not first_s < s.time_s < last_s]
+    together = sorted([*completed, *beyond], key=lambda s: s.time_s)
+    return Evidence.of(together, body, cameras, TRACKED_PX, gaps_s)
 
 
 def followed_evidence(
@@ -97,17 +103,12 @@ def _motions(
         yield poses[k].world_from_body, velocity
 
 
-def _preferred(
-    one: Measurement, near: Mapping[float, Sequence[Detection]], doubtful: bool
-) -> Iterator[Detection]:
-    """Of each ball and camera what was followed, else what was searched.
-
-    Only if nothing was searched, what was followed with doubt.
-    """
+def _preferred(one: Measurement, near: Mapping[float, Sequence[Detection]]) -> Iterator[Detection]:
+    """Of each ball and camera what was followed, else what was searched, else followed in doubt."""
     whole = {(d.camera, d.ball): d for d in near.get(round(one.time_s, 4), ())}
     for view in one.views:
         found = whole.pop((view.camera, view.ball), None)
-        if view.effective or (doubtful and view.reason is not Reason.COLOR):
+        if view.effective or (found is None and view.reason is not Reason.COLOR):
             found = view.detection
         if found is not None:
             yield found

@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 
 from measure.arrays import Floats
 from measure.checking.body import Compared, layout_causes, size_causes, twin_findings
+from measure.checking.causes import Cause, Word
 from measure.checking.diagnosis import diagnose
 from measure.checking.evidence import Evidence, Sighting
 from measure.checking.finding import Level
@@ -107,13 +108,28 @@ def rig_notes(
     """What may be wrong with the rig, the likeliest first, a line each; by a run's tables."""
     seen, sightings = _sightings(detections, poses)
     enough = len(sightings) >= MIN_FRAME_SETS
-    found = diagnose(Evidence.of(sightings, body, cameras) if enough else None)
-    causes = list(found.causes)
+    evidence = Evidence.of(sightings, body, cameras) if enough else None
+    causes = [_told(cause, evidence) for cause in diagnose(evidence).causes if evidence]
     told = () if causes else contradictions(body, distances)
     if not causes and not told:
         causes = size_causes(body, outline_growth(seen, body, cameras))
     findings = (*(cause.finding for cause in causes), *twin_findings(body))
     return (*told, *map(str, findings))
+
+
+def _told(cause: Cause, evidence: Evidence) -> Cause:
+    """The same, but of a camera that hardly saw the body where it was looked for: that it did."""
+    seen = np.bincount(evidence.views, minlength=len(evidence.cameras))
+    hardly = [
+        c.name for c, n in zip(evidence.cameras, seen, strict=True) if n < np.median(seen) / 2
+    ]
+    if cause.cause not in (Word.MOVED, Word.MOVED_AT, Word.ZOOM, Word.POINT, Word.UNKNOWN):
+        return cause
+    if cause.of not in hardly:
+        return cause
+    text = f"{cause.of} sees the balls elsewhere than the others do, or not at all"
+    remedy = "`measure check` searches whole pictures, and tells why"
+    return Cause(Word.UNKNOWN, cause.of, text, remedy, Level.WRONG, explains=0.0)
 
 
 def _sightings(

@@ -107,6 +107,15 @@ def test_a_clock_that_steps_is_no_moved_camera():
     assert cause.estimate == pytest.approx(100, abs=5)
 
 
+@pytest.mark.parametrize("share", [0.02, -0.1])
+def test_stamps_that_run_fast_are_neither_a_step_nor_a_moved_camera(share):
+    one = np.array([0.0, 0.0, share, 0.0])
+    cause = first(diagnosed(late=lambda k: one * k / RATE))
+    assert (cause.cause, cause.of, cause.unit) == (Word.CLOCK, "cam2", "%")
+    assert cause.estimate == pytest.approx(100 * share, abs=max(4 * cause.sd, 0.3))
+    assert ("fast" if share > 0 else "slow") in cause.text
+
+
 def test_a_zoomed_camera_and_all_zoomed():
     cause = first(diagnosed(stated=zoomed(0.97, "cam1")))
     assert (cause.cause, cause.of) == (Word.ZOOM, "cam1")
@@ -135,6 +144,7 @@ def test_one_ball_out_of_its_place():
     cause = first(diagnosed(body=off))
     assert (cause.cause, cause.of) == (Word.PLACE, RAVEN.names[1])
     assert cause.estimate == pytest.approx(2.0, abs=0.3)
+    assert 0 < cause.sd < 0.3
 
 
 def test_of_two_cameras_either_may_be_wrong():

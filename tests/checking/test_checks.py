@@ -16,8 +16,9 @@ from measure.checking import (
     stamp_findings,
     with_velocities,
 )
-from measure.checking.pictures import rate_causes
+from measure.checking.pictures import burst_causes, rate_causes
 from measure.errors import DegenerateGeometryError
+from measure.estimation.expected_accuracy import WORLD_SCALE_SD
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
 from measure.model import Detection, FrameSet, Image
@@ -94,7 +95,10 @@ def test_expected_accuracy_agrees_with_monte_carlo():
     fine = expected_accuracy(path(0.0), 30.0, RAVEN, RIG, 0.1)
     coarse = expected_accuracy(path(0.0), 30.0, RAVEN, RIG, 0.2)
     assert fine.shape == (27, 5)
-    np.testing.assert_allclose(coarse[:, 3:], 2 * fine[:, 3:], rtol=1e-6)
+    scale = [WORLD_SCALE_SD * np.linalg.norm(row[:3]) for row in fine]
+    by_noise = [np.sqrt(one[:, 3] ** 2 - np.square(scale)) for one in (fine, coarse)]
+    np.testing.assert_allclose(by_noise[1], 2 * by_noise[0], rtol=1e-6)
+    np.testing.assert_allclose(coarse[:, 4], 2 * fine[:, 4], rtol=1e-6)
     from measure.estimation.pose_fit import PoseObservations, fit_pose
 
     errors = []
@@ -103,7 +107,7 @@ def test_expected_accuracy_agrees_with_monte_carlo():
         fit = fit_pose(path(0.0), PoseObservations.of(seen, RAVEN, CAMERAS, 0.0))
         errors.append(fit.world_from_body.difference(path(0.0))[:3])
     scatter = np.sqrt(np.mean(np.sum(np.square(errors), axis=1)))
-    assert fine[13, 3] == pytest.approx(scatter, rel=0.15)
+    assert by_noise[0][13] == pytest.approx(scatter, rel=0.15)
 
 
 def test_expected_accuracy_is_unknown_out_of_sight():
@@ -193,9 +197,10 @@ def test_too_short_a_recording_is_weak():
 
 def test_bursts_are_no_dropped_frames():
     times = np.repeat(np.arange(20) / 5, 6) + np.tile(np.arange(6), 20) * 4e-4
-    (finding,) = stamp_findings("cam1", times, np.arange(120))
-    assert "bursts of 6 every 2" in finding.text
-    assert finding.level is Level.WRONG
+    (cause,) = burst_causes({"cam0": np.arange(120) / 30, "cam1": times})
+    assert "bursts of 6 every 2" in cause.text
+    assert (cause.of, cause.level) == ("cam1", Level.WRONG)
+    assert stamp_findings("cam1", times, np.arange(120)) == []
 
 
 def test_as_many_pictures_that_last_longer_run_at_another_rate():
