@@ -29,9 +29,9 @@ _SIZE, _WEAK, _WRONG = 0.9973, 1 - 6.3e-5, 1 - 2e-9
 """Shares of a normal variable within three, four and six standard deviations."""
 _BOUNDED = (Word.RADIUS, Word.SCALE)
 """Causes whose standard deviation bounds a bias, and is no scatter: less of it tells."""
-_RIVAL_SHARE, _RIVAL_GAIN, _RIVAL_LEFT = 0.1, 16.0, 2.0
+_RIVAL_SHARE, _RIVAL_GAIN, _RIVAL_LEFT = 0.1, 16.0, 0.5
 """What gains less than the best by no more than this share, or this much, is as good if it is
-simpler; and what leaves no more than so many times what the best leaves is a rival."""
+simpler; and what leaves less than this, or than twice what the best leaves, is a rival."""
 _RARE_PRICE = 15.0
 """Of the principal point of one camera, in chi-square: cameras are touched far more often. So much
 less costs a clock that steps where its stamps have a gap."""
@@ -143,7 +143,7 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
     rivals = []
     for fit in others:
         name = fit.hypotheses[-1].word, fit.hypotheses[-1].of
-        if name not in own and fit.left < _RIVAL_LEFT * best.left:
+        if name not in own and fit.left < max(2 * best.left, _RIVAL_LEFT):
             own.add(name)
             rivals.append(fit)
     left = max(here.cost - best.freedom, gain)
