@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -11,6 +12,7 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from measure import api
@@ -25,9 +27,8 @@ from measure_studio.capture import serve_cameras
 
 DEMO_BOARDS = ("charuco_8x5_27", "chessboard_9x6_25")
 _RATE_HZ = 10.0
-_HELD_TICKS = dict(zip(DEMO_BOARDS, (12, 24), strict=True))
-"""Pictures for which a board is held still: 1.2 s; 2.4 s of the one that takes longer to find, for
-a busy computer looks once a second, and twice at what rests."""
+_HELD_S, _HELD_LOOKS = 1.2, 4.0
+"""How long a board is held still, at least: as a person waits for a computer that looks seldom."""
 _BODY_TICKS = 80  # Pictures of the body's motion, there; it comes back the same way
 _PX_PER_MM = 8.0  # Of the printed board
 
@@ -57,7 +58,7 @@ def demo_cameras(
     desk = folder / next_free(folder, "rig")
     desk.mkdir(parents=True)
     with ExitStack() as stack:
-        held = _HELD_TICKS[board]
+        held = _held_ticks(acts["waved"], board)
         reels = {
             act: _reel(act, stack.enter_context(open_streams(acts[act])), held) for act in acts
         }
@@ -66,6 +67,14 @@ def demo_cameras(
         names = next(iter(reels.values())).streams
         feeds = {name: partial(stage.parts, name) for name in names}
         yield desk, stack.enter_context(serve_cameras(feeds))
+
+
+def _held_ticks(waved: Path, board: str) -> int:
+    """Pictures for which a board is held still, by how long it takes to look at one of each."""
+    pattern, begun_s = api.read_board(api.shipped_targets()[board]), time.monotonic()
+    for picture in waved.glob("*/000000.jpg"):
+        pattern.look(np.asarray(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE), np.uint8))
+    return round(_RATE_HZ * max(_HELD_S, _HELD_LOOKS * (time.monotonic() - begun_s)))
 
 
 class _HeldStage:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from itertools import islice, takewhile
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -87,12 +90,24 @@ def test_cameras_go_on_from_one_act_to_the_next(tmp_path, monkeypatch):
         shots = HttpSource(cameras["cam1"]).shots()
         before = [next(shots) for _ in range(4)]
         write_calibration(desk / "calibration.toml", Calibration(webcam_scene().cameras))
-        after = [next(shots) for _ in range(20)]
+        waved = {shot.jpeg for shot in before}
+        after = list(islice(takewhile(lambda shot: shot.jpeg in waved, shots), 300))
+        after += [next(shots) for _ in range(4)]
         shots.close()
-    assert {shot.jpeg for shot in before}.isdisjoint({shot.jpeg for shot in after[-4:]})
+    assert waved.isdisjoint({shot.jpeg for shot in after[-4:]})
     stamps = np.array([shot.device_s for shot in (*before, *after)])
     assert np.diff(stamps).min() > 0
     assert desk == tmp_path / "rig-1"
+
+
+@pytest.mark.parametrize(("look_s", "ticks"), [(0.0, 12), (0.2, 32)])
+def test_a_board_is_held_as_long_as_this_computer_asks_for(look_s, ticks, tmp_path, monkeypatch):
+    for k in range(4):
+        (tmp_path / f"cam{k}").mkdir()
+        cv2.imwrite(str(tmp_path / f"cam{k}/000000.jpg"), np.zeros((48, 64), np.uint8))
+    slow = SimpleNamespace(look=lambda _: time.sleep(look_s))
+    monkeypatch.setattr(demo.api, "read_board", lambda _: slow)
+    assert ticks <= demo._held_ticks(tmp_path, studio_api.DEMO_BOARDS[0]) < ticks + 12
 
 
 def test_another_board_is_refused(tmp_path, capsys):
