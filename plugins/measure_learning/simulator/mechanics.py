@@ -82,6 +82,7 @@ class Cables:
         registration_rotvec_deg: the same for its orientation.
         registration_sd: SDs per axis of both after each restart, mm and deg.
         wear: factor on slack and friction.
+        payload_kg: what the tool carries, beside its own mass.
         slip: hysteresis, creep and drift beside these; None for none.
     """
 
@@ -100,6 +101,7 @@ class Cables:
     registration_rotvec_deg: tuple[float, float, float] = (0.3, -0.4, 0.2)
     registration_sd: tuple[float, float] = (0.3, 0.06)
     wear: float = 1.0
+    payload_kg: float = 0.0
     slip: Slip | None = None
 
     def __post_init__(self) -> None:

@@ -104,7 +104,7 @@ def simulate(
     rng = np.random.default_rng(seed)
     desired = _plan(duration_s, rng, arm, wrist_deg)
     every = max(1, round(1000.0 / log_hz))
-    logged = integrate(desired, _gravity(desired, arm), cables, every)
+    logged = integrate(desired, _gravity(desired, arm, cables.payload_kg), cables, every)
     zero = np.array(cables.homing) + rng.normal(0.0, cables.restart_sd)
     encoder_offset = np.round(rng.uniform(-2e4, 2e4, raven.DRIVES))
     links = logged[:, 3]
@@ -123,7 +123,7 @@ def simulate(
     )
 
 
-def _gravity(drives: Floats, arm: Arm) -> Floats:
+def _gravity(drives: Floats, arm: Arm, payload_kg: float) -> Floats:
     """Generalised gravity (steps, 7) at the desired pose: it differs little from the true one."""
     chain = raven.raven_chain(arm)
     centres = np.array(k.LINK_CENTRE_LEFT_MM if arm == "left" else k.LINK_CENTRE_RIGHT_MM)
@@ -131,7 +131,8 @@ def _gravity(drives: Floats, arm: Arm) -> Floats:
     q = raven.joints_from_drives(drives[coarse])
     frames = chain.frames(q)
     torque = np.zeros((len(coarse), raven.DRIVES))
-    for link, (mass, centre) in enumerate(zip(k.LINK_MASS_KG, centres, strict=True)):
+    masses = np.add(k.LINK_MASS_KG, (0.0, 0.0, payload_kg))
+    for link, (mass, centre) in enumerate(zip(masses, centres, strict=True)):
         frame = frames[:, link]
         where = 1e-3 * (frame[:, :3, :3] @ centre + frame[:, :3, 3])
         for joint in range(link + 1):

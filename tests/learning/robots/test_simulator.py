@@ -99,6 +99,17 @@ def test_the_wrist_shows_backlash() -> None:
     assert 0.5 < np.linalg.norm(forth - back) < 4.0  # 12 degrees at 13 mm: up to 2.7 mm
 
 
+def test_what_the_tool_carries_stretches_the_cables() -> None:
+    """By some tenths of a millimetre, in proportion."""
+    empty, light, heavy = (
+        _error(simulate(3.0, 5, log_hz=50.0, cables=Cables(payload_kg=mass)))[50:]
+        for mass in (0.0, 0.05, 0.1)
+    )
+    by_light, by_heavy = (np.linalg.norm(one - empty, axis=1).mean() for one in (light, heavy))
+    assert 0.05 < by_heavy < 2.0
+    assert 0.3 < by_light / by_heavy < 0.8
+
+
 def test_impossible_wear_is_refused() -> None:
     with pytest.raises(ConfigError, match="wear 0: expected a factor"):
         Cables(wear=0.0)
