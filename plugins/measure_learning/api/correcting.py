@@ -35,6 +35,7 @@ def estimate_file(
     zeroing: Zeroing | None = None,
     *,
     true_positions: Path | None = None,
+    frame: Path | None = None,
     on_drift: Callable[[str], None] | None = None,
 ) -> dict[str, int]:
     """Correct recorded states of any number; `core.correct_file` says what is written.
@@ -43,19 +44,22 @@ def estimate_file(
         out: `.parquet` or `.csv`.
         true_positions: a table of measured tip positions (`core.files.read_poses`) on the clock
             of the states: each corrects what follows it.
+        frame: that the labels were measured by: the covariances hold its base and tool, too.
         on_drift: gets a line that says whether they fit.
 
     Returns:
         How many were corrected, how many refused and why.
     """
     from measure_learning import core as learning
+    from measure_learning.core.frames import read_frame
 
     if out.suffix not in (".parquet", ".csv"):
         raise EstimatorError(f"{out}: the name of a file of errors must end with .parquet or .csv")
     model = OnnxModel.load(model_path)
     true = None if true_positions is None else learning.files.read_poses(true_positions)
     follower = None if true is None else learning.follower_of(model)
-    counts = learning.correct_file(states, model, out, zeroing, follower, true)
+    known = None if frame is None else read_frame(frame)
+    counts = learning.correct_file(states, model, out, zeroing, follower, true, known)
     if follower is not None and on_drift is not None:
         on_drift(follower.monitor.sentence())
     return counts

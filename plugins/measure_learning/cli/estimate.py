@@ -37,6 +37,22 @@ class _ServerOptions:
     realtime: bool = False
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Measured:
+    """What was measured beside the states.
+
+    Attributes:
+        true_positions: a table of tip positions measured now and then (time_s on the states' clock,
+            x_mm, y_mm, z_mm): the offsets of the joints follow them. Live, they come by UDP.
+        frame: the frame.toml that the labels were measured by: the SDs that are written then hold
+            what `measure register` leaves open of base and tool.
+    """
+
+    true_positions: Path | None = None
+    frame: Path | None = None
+
+
 def estimate(
     model: Path,
     /,
@@ -45,7 +61,7 @@ def estimate(
     out: Annotated[OutFile | None, Parameter(name=("--out", "-o", "--output"))] = None,
     overwrite: Overwrite = False,
     rezero: Path | None = None,
-    true_positions: Path | None = None,
+    measured: _Measured = _Measured(),
     server: _ServerOptions = _ServerOptions(),
     json: JsonFlag = False,
 ) -> None:
@@ -61,24 +77,24 @@ def estimate(
             .csv).
         rezero: a short measured data set of today: finds how the joints were homed, and says
             whether the cables have changed.
-        true_positions: a table of tip positions measured now and then (time_s on the states' clock,
-            x_mm, y_mm, z_mm): the offsets of the joints follow them. Live, they come by UDP.
     """
     if input_ is None and out is not None:
         raise ConfigError("--out needs --input: live estimates go back by UDP")
     if input_ is not None and out is None:
         raise ConfigError("--input needs --out: where shall the errors go?")
-    if input_ is None and true_positions is not None:
+    if input_ is None and measured.true_positions is not None:
         raise ConfigError("--true-positions needs --input: live ones come by UDP")
+    if input_ is None and measured.frame is not None:
+        raise ConfigError("--frame needs --input: what is stated live is of the labels' frame")
     path = learning_api.model_file(model)
-    read = [one for one in (input_, path, rezero, true_positions) if one]
+    read = [one for one in (input_, path, rezero, *vars(measured).values()) if one]
     with api.output(out, overwrite, read) as file:
         zeroing = None if rezero is None else _zeroing(path, rezero)
         if input_ is None:
             _serve(path, server, zeroing, json)
             return
         counts = learning_api.estimate_file(
-            path, input_, file, zeroing, true_positions=true_positions, on_drift=console.note
+            path, input_, file, zeroing, **vars(measured), on_drift=console.note
         )
     _conclude(counts, json, f"written to {out}")
     if 2 * counts["unfamiliar"] > counts["corrected"]:

@@ -14,6 +14,7 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, propagate, skew
 from measure.reading import FileModel
+from measure.robots import StateSchema
 from measure.session import StatedTransform, dump_toml, load_toml
 from measure_learning.core.assemble import PoseTrack
 
@@ -77,6 +78,20 @@ class RobotFrame:
             positions_mm=base_from_world.apply(moved),
             covariances=propagate(base_from_world.rotation, covariances),
         )
+
+    def tip_covariances(self, schema: StateSchema, states: Floats) -> Floats:
+        """What base and tool leave open of the tip (n, 3, 3), mm^2 in the base's axes.
+
+        It is common to all labels that were measured by this frame: none of them shows it.
+        """
+        base, tool = self.world_from_base, self.flange_from_body.translation
+        lever = schema.position_mm(states) @ base.rotation.T
+        turns = np.broadcast_to(np.eye(3), (len(states), 3, 3))
+        if schema.chain is not None:
+            turns = schema.chain.pose(schema.joint_positions(states)).rotation
+        back = np.broadcast_to(base.rotation.T, turns.shape)
+        slopes = np.concatenate([-back, back @ skew(lever), -turns, -turns @ skew(tool)], axis=2)
+        return propagate(slopes, self.covariance[:12, :12])
 
 
 class _RegisteredFile(FileModel):

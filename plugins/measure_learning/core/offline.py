@@ -21,6 +21,7 @@ from measure.robots.schema import FeatureColumns
 from measure_learning.core import offsets
 from measure_learning.core.assemble import AssemblySettings, PoseTrack, assemble
 from measure_learning.core.files import covariance_columns
+from measure_learning.core.frames import RobotFrame
 from measure_learning.core.guard import GuardedModel
 from measure_learning.core.labels import Paired, chain_doubt, check_units, not_the_robot
 from measure_learning.onnx import OnnxModel
@@ -119,8 +120,17 @@ class Corrector:
         zeroing: offsets.Zeroing | None = None,
         follower: offsets.OffsetFollower | None = None,
         true: PoseTrack | None = None,
+        frame: RobotFrame | None = None,
     ) -> None:
-        """A table of `true` positions, on the states' clock, moves the offsets of `follower`."""
+        """A table of `true` positions, on the states' clock, moves the offsets of `follower`.
+
+        With the `frame` of the labels, what it leaves open of base and tool is stated, too.
+        """
+        if frame is not None and frame.robot != model.robot:
+            raise EstimatorError(
+                f"the frame is of robot '{frame.robot}', and the model of '{model.robot}'"
+            )
+        self._frame = frame
         self._guarded = GuardedModel(model, zeroing, follower=follower)
         self._run: object = None
         self._true, self._next = true, 0
@@ -150,6 +160,8 @@ class Corrector:
                 errors[row], covariances[row] = answer.error_mm, answer.covariance
                 unfamiliar[row] = answer.unfamiliar
                 self._take(table.states[row], float(table.times_s[row]))
+        if self._frame is not None:
+            covariances += self._frame.tip_covariances(self._guarded.model.schema, table.states)
         return Corrected(errors, covariances, unfamiliar, self.counts)
 
     def _take(self, state: Floats, time_s: float) -> None:
@@ -193,6 +205,7 @@ def correct_file(
     zeroing: offsets.Zeroing | None = None,
     follower: offsets.OffsetFollower | None = None,
     true: PoseTrack | None = None,
+    frame: RobotFrame | None = None,
 ) -> dict[str, int]:
     """Correct recorded states (see `read_states`), and count what became of them.
 
@@ -200,7 +213,7 @@ def correct_file(
     `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`
     and their covariance in the base frame, `cov_xx_mm2, cov_xy_mm2, ... cov_zz_mm2`.
     """
-    corrector, schema = Corrector(model, zeroing, follower, true), model.schema
+    corrector, schema = Corrector(model, zeroing, follower, true, frame), model.schema
     with ExitStack() as opened:
         writer: Any = None
         for table in read_states(states, model):
