@@ -56,6 +56,27 @@ def test_work_says_how_long_it_takes_yet():
     assert job.told() == "done"
 
 
+def test_work_that_is_stopped_ends_at_its_next_step():
+    """Calibrating as well; but what follows a recording that was stopped early goes on."""
+
+    def work(job: Job) -> str:
+        job.stop.wait(10.0)
+        job.title = "calibrating"
+        job.progress(1, 4)
+        while job.runs:
+            job.progress(2, 4)
+        return "done"
+
+    job = Job("recording", work)
+    job.stop.set()
+    while job.title == "recording":
+        job.wait(0.01)
+    assert job.runs
+    job.stop.set()
+    job.wait(10.0)
+    assert job.told() == "stopped: calibrating"
+
+
 def test_an_error_that_is_over_is_forgotten(tmp_path):
     bench = Bench(tmp_path, Registry.discover(), True, CaptureRequest())
 

@@ -41,6 +41,7 @@ class Job:
     def title(self, title: str) -> None:
         self._title, self.done, self.total = title, 0, 0
         self._begun_s = time.monotonic()
+        self.stop.clear()
 
     @property
     def runs(self) -> bool:
@@ -52,15 +53,16 @@ class Job:
         self._thread.join(seconds)
 
     def progress(self, done: int, total: int | None) -> None:
-        """Hear how far it is."""
+        """Hear how far it is; MeasureError where it is to stop."""
+        if self.stop.is_set():
+            raise MeasureError(f"stopped: {self.title}")
         self.done, self.total = done, total or 0
 
     def lasts(self, seconds: float | None) -> None:
         """Hear that this part takes so long, and how far it is by the clock."""
         if seconds:
-            self.progress(
-                min(round(1e3 * self.lasted_s), round(1e3 * seconds)), round(1e3 * seconds)
-            )
+            self.total = round(1e3 * seconds)
+            self.done = min(round(1e3 * self.lasted_s), self.total)
 
     @property
     def lasted_s(self) -> float:
@@ -323,7 +325,8 @@ class Bench:
 
     def close(self) -> None:
         """End everything, and wait till what was measured is written."""
-        self.stop()
-        if self.job is not None:
-            self.job.wait(10.0)
+        until_s = time.monotonic() + 10.0
+        while self.job is not None and self.job.runs and time.monotonic() < until_s:
+            self.stop()  # Each part of the work: a process that ends amidst it may be aborted
+            self.job.wait(0.2)
         self.let_go()
