@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import tempfile
 import threading
 import time
 from multiprocessing.connection import Connection
@@ -57,13 +56,12 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10.0)
     given = parser.parse_args()
     ours, theirs = multiprocessing.Pipe()
-    with tempfile.TemporaryDirectory() as scratch:
-        session = still_session(Path(scratch))
-        server = multiprocessing.Process(target=serve, args=(session, given.rate, theirs))
-        server.start()
-        measure(session, ours.recv(), given.seconds)
-        ours.send("over")
-        server.join()
+    session = still_session()
+    server = multiprocessing.Process(target=serve, args=(session, given.rate, theirs))
+    server.start()
+    measure(session, ours.recv(), given.seconds)
+    ours.send("over")
+    server.join()
 
 
 def measure(session: Path, addresses: dict[str, str], seconds: float) -> None:

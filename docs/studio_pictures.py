@@ -35,7 +35,7 @@ LIVE = "document.querySelectorAll('img.live[src^=blob]').length >= 2"
 def main(folder: Path | None) -> None:
     """Photograph the pages, while they measure and while a board is waved."""
     with tempfile.TemporaryDirectory() as scratch, Chromium(*SIZES[""]) as page:
-        still, desk = still_session(Path(scratch)), Path(scratch) / "my-rig"
+        still, desk = still_session(), Path(scratch) / "my-rig"
         desk.mkdir()
         for name in ("calibration.toml", "body.toml"):
             shutil.copy(still / name, desk)

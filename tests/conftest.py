@@ -51,20 +51,25 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of recordings that lies beside the repository."""
+    """Data of others, which lie beside the repository: their licences let nobody copy them."""
     folder = Path(__file__).resolve().parents[2] / "shared"
     if not folder.is_dir():
-        pytest.skip("the recordings in ../shared are not part of the project")
+        pytest.skip("other people's data in ../shared are not part of the project")
     return folder
 
 
 @pytest.fixture(scope="session")
-def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def renders() -> Path:
+    """Path-traced sessions and a capture; `renders/README.md` says where they come from."""
+    return Path(__file__).parent / "renders"
+
+
+@pytest.fixture(scope="session")
+def still() -> Path:
     """Twelve frame sets of rendered balls, 1/30 s apart; shared by all workers, so read-only."""
     from tests.simulated.sessions import still_session
 
-    base = tmp_path_factory.getbasetemp()
-    return still_session((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared")
+    return still_session()
 
 
 @pytest.fixture

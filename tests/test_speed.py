@@ -17,8 +17,8 @@ in place of OpenCV's."""
 
 
 @pytest.mark.slow
-def test_a_frame_set_costs_no_more_than_it_did(shared: Path) -> None:
-    with open_session(shared / "renders" / "still") as session, one_core():
+def test_a_frame_set_costs_no_more_than_it_did(renders: Path) -> None:
+    with open_session(renders / "still") as session, one_core():
         reference_s, spent_s, (_, search_s, associate_s) = stages(session, "precise", repeats=2)
     assert spent_s[-1] / reference_s < _MOST_REFERENCES
     assert (search_s + associate_s) / reference_s < _MOST_ACQUIRING

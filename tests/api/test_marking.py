@@ -135,8 +135,8 @@ def test_corners_are_refined_and_a_plain_ground_has_none(rng):
         assert refined_mark(plain, (90.0, 80.0), kind, camera.intrinsics) is None
 
 
-def test_a_capture_from_elsewhere_is_marked_by_the_lenses_of_a_calibration(shared):
-    folder = shared / "renders/E_calibration"
+def test_a_capture_from_elsewhere_is_marked_by_the_lenses_of_a_calibration(renders):
+    folder = renders / "E_calibration"
     with pytest.raises(CalibrationError, match="cam0 needs a calibration that knows its lens"):
         api.Marking(folder)
     marking = api.Marking(folder, folder / "truth_calibration.toml")
@@ -148,8 +148,8 @@ def test_a_capture_from_elsewhere_is_marked_by_the_lenses_of_a_calibration(share
         assert np.linalg.norm(np.array(again.center_px) - mark.center_px) < 1.0
 
 
-def test_a_session_is_marked_by_the_outlines_of_its_balls(shared, tmp_path):
-    session, body = shared / "renders/still", shared / "renders/still/body.toml"
+def test_a_session_is_marked_by_the_outlines_of_its_balls(renders, tmp_path):
+    session, body = renders / "still", renders / "still/body.toml"
     marking = api.begin_marks(tmp_path / "marks-1", session, session / "calibration.toml", body)
     true = {c.name: c for c in read_calibration(session / "calibration.toml").cameras}
     balls = api.read_body(body), api.Registry.discover()

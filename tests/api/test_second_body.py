@@ -12,18 +12,18 @@ from measure.api import load_profile, measure_session
 from measure.host import Registry
 from measure.measuring import Status
 from measure.session import open_session
-from measure.simulation import Still, write_session
+from measure.simulation import Still
 from measure.simulation.scene import Capsule, Material
 from tests.simulated.catalogue import scene_catalogue
 from tests.simulated.degraded import with_second_body
+from tests.simulated.sessions import rendered
 
 
 @pytest.mark.slow
-def test_a_second_body_in_view_gives_no_pose(tmp_path):
+def test_a_second_body_in_view_gives_no_pose():
     scene = scene_catalogue()["still"]
     beside = scene.trajectory.at(np.array([0.0]))[0].perturb([-90.0, 70.0, -60.0, 0.2, 0.1, 0.4])
-    write_session(with_second_body(scene, Still(beside)), np.arange(3) / 30, tmp_path)
-    found = measured(tmp_path)
+    found = measured(rendered(with_second_body(scene, Still(beside)), np.arange(3) / 30))
     assert len(found) == 3
     assert all(one.pose is None for one in found)
     assert all(one.reason.startswith("two bodies fit") for one in found)
@@ -49,15 +49,14 @@ def measured(folder):
 
 
 @pytest.mark.slow
-def test_two_balls_of_a_hidden_body_suffice_for_a_flag(tmp_path):
+def test_two_balls_of_a_hidden_body_suffice_for_a_flag():
     """The second stands 70 mm beside the first, in full view; the first is hidden but for these."""
     scene = scene_catalogue()["still"]
     middle = scene.trajectory.at(np.array([0.0]))[0]
     beside = middle.perturb([-20.0, 62.0, 26.0, 0.3, -0.2, 0.5])
     posts = posts_before(scene, middle, {("yellow", "cam2"), ("red", "cam2")})
     hidden = replace(scene, trajectory=Still(middle), attached=(), fixed=posts)
-    write_session(with_second_body(hidden, Still(beside)), np.arange(2) / 30, tmp_path)
-    found = measured(tmp_path)
+    found = measured(rendered(with_second_body(hidden, Still(beside)), np.arange(2) / 30))
     assert all(one.pose is not None for one in found)
     for one in found:
         off = one.pose.world_from_body.difference(beside)
@@ -66,10 +65,8 @@ def test_two_balls_of_a_hidden_body_suffice_for_a_flag(tmp_path):
 
 
 @pytest.mark.slow
-def test_single_balls_in_a_scene_are_no_second_body(shared):
-    folder = shared / "renders" / "clutter"
-    if not folder.is_dir():
-        pytest.skip("no rendered sessions in ../shared")
+def test_single_balls_in_a_scene_are_no_second_body(renders):
+    folder = renders / "clutter"
     with open_session(folder) as session:
         pipeline = measure_session(session, load_profile("precise"), Registry.discover())
         found = [measurement for _, measurement in islice(pipeline, 3)]
@@ -77,7 +74,7 @@ def test_single_balls_in_a_scene_are_no_second_body(shared):
 
 
 @pytest.mark.slow
-def test_a_second_body_beside_a_hidden_one_is_flagged(tmp_path):
+def test_a_second_body_beside_a_hidden_one_is_flagged():
     """Of the first, one ball is behind posts for all cameras; the second is in full view."""
     scene = scene_catalogue()["still"]
     middle = scene.trajectory.at(np.array([0.0]))[0]
@@ -85,8 +82,7 @@ def test_a_second_body_beside_a_hidden_one_is_flagged(tmp_path):
     posts = posts_before(scene, middle, bare, 0.16, 19.0)
     beside = middle.perturb([40.0, 115.0, 20.0, 0.2, 0.1, 0.4])
     hidden = replace(scene, trajectory=Still(middle), attached=(), fixed=posts)
-    write_session(with_second_body(hidden, Still(beside)), np.arange(2) / 30, tmp_path)
-    found = measured(tmp_path)
+    found = measured(rendered(with_second_body(hidden, Still(beside)), np.arange(2) / 30))
     for one in found:
         if one.pose is not None:
             assert any("second body" in flag for flag in one.pose.flags)

@@ -23,8 +23,8 @@ MIXED = {"m02": "m03", "m03": "m04", "m04": "m02", "m10": "m11", "m11": "m10"}
 
 
 @pytest.fixture
-def altered(shared: Path, tmp_path: Path) -> Callable[..., AlteredCapture]:
-    source = shared / "renders/E_calibration"
+def altered(renders: Path, tmp_path: Path) -> Callable[..., AlteredCapture]:
+    source = renders / "E_calibration"
     return lambda *cameras: AlteredCapture(source, tmp_path / "capture", cameras or ALL)
 
 
@@ -51,11 +51,8 @@ def written(capture: AlteredCapture, *more: str) -> dict[str, Any]:
 # --- other programs' files ---
 
 
-@pytest.mark.parametrize(
-    ("form", "name"), [("anipose", "c.toml"), ("caliscope", "c.toml"), ("opencv", "c.yml")]
-)
-def test_foreign_files_are_written_and_known_lenses_read(altered, form: str, name: str) -> None:
-    capture = altered("cam0", "cam2")
+def test_foreign_files_are_written_and_known_lenses_read(altered) -> None:
+    capture, form, name = altered("cam0", "cam2"), "anipose", "c.toml"
     output, foreign = capture.folder / "calibration.toml", capture.folder / name
     assert main(["calibrate", str(capture.folder), "-o", str(output)]) == 0
     said = ["-o", str(foreign), "--format", form, "--report", str(capture.folder / "r.html")]
@@ -182,7 +179,7 @@ def test_a_video_for_the_lens(altered) -> None:
     capture = altered("cam0")
     path = capture.folder / "board.mp4"
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10, (1280, 720))
-    for number in range(7):
+    for number in range(0, 14, 2):
         video.write(capture.view("cam0", number))
     video.release()
     capture.substitute("capture.toml", r"calibration = .*", 'intrinsics = "board.mp4"')
@@ -211,12 +208,9 @@ def test_all_pictures_mirrored(altered, capsys) -> None:
     assert "is the picture mirrored?" in refusal(capture, capsys)
 
 
-@pytest.mark.parametrize("by_hand", [True, False])
-def test_two_board_pictures_swapped(altered, capsys, by_hand: bool) -> None:
+def test_two_board_pictures_swapped(altered, capsys) -> None:
     capture = altered("cam0", "cam2")
     capture.swap_board_pictures("cam0", "cam2")
-    if not by_hand:
-        capture.without_hand_marks()
     line = refusal(capture, capsys)
     assert "the board picture of cam2 fits instead: are the two swapped?" in line
 
@@ -259,13 +253,13 @@ def test_squares_a_little_off_are_noticed_by_the_second_target(altered) -> None:
 
 def test_too_few_views(altered, capsys) -> None:
     capture = altered("cam0")
-    capture.with_views("cam0", [capture.view("cam0", n) for n in (0, 3, 6, 9)])
+    capture.with_views("cam0", [capture.view("cam0", n) for n in (0, 4, 6, 8)])
     assert "cam0: 4 different sharp views of the board, at least 5" in refusal(capture, capsys)
 
 
 def test_views_all_alike(altered, capsys) -> None:
     capture = altered("cam0")
-    view = capture.view("cam0", 3)
+    view = capture.view("cam0", 4)
     capture.with_views("cam0", [np.roll(view, n, axis=(0, 1)) for n in range(6)])
     assert "(5 more are all alike)" in refusal(capture, capsys)
 

@@ -21,8 +21,8 @@ from tests.calibration.rigs import BOARD
 
 
 @pytest.fixture
-def altered(shared: Path, tmp_path: Path) -> Callable[..., AlteredCapture]:
-    source = shared / "renders/E_calibration"
+def altered(renders: Path, tmp_path: Path) -> Callable[..., AlteredCapture]:
+    source = renders / "E_calibration"
     return lambda *cameras: AlteredCapture(source, tmp_path / "capture", cameras)
 
 
@@ -89,20 +89,13 @@ def stereo_videos(source: Path, folder: Path, behind: int, mirrored: str = "") -
     return folder
 
 
-def test_common_views_of_videos(shared: Path, tmp_path: Path) -> None:
-    folder = stereo_videos(shared / "data/opencv_stereo", tmp_path, 0)
-    left, right = calibrate(folder).calibration.cameras
-    assert np.linalg.norm(right.center - left.center) == pytest.approx(83.2, rel=2e-3)
-
-
 def test_common_views_that_were_not_taken_together(shared: Path, tmp_path: Path) -> None:
     folder = stereo_videos(shared / "data/opencv_stereo", tmp_path, 1)
     with pytest.raises(CalibrationError, match="of one number show one instant"):
         calibrate(folder)
 
 
-@pytest.mark.parametrize("which", ["left", "right"])
-def test_common_views_of_a_camera_in_mirror_mode(shared: Path, tmp_path: Path, which: str) -> None:
-    folder = stereo_videos(shared / "data/opencv_stereo", tmp_path, 0, mirrored=which)
+def test_common_views_of_a_camera_in_mirror_mode(shared: Path, tmp_path: Path) -> None:
+    folder = stereo_videos(shared / "data/opencv_stereo", tmp_path, 0, mirrored="left")
     with pytest.raises(CalibrationError, match="camera right: its pictures are mirrored, or those"):
         calibrate(folder)

@@ -246,7 +246,7 @@ def growth_mb(memory_mb: list[tuple[float, float]]) -> float:
 
 def rows(count: int, seed: int) -> list[tuple[str, str]]:
     """Soak for `count` seconds; what was tried, and what came out."""
-    session = still_session(Path(tempfile.gettempdir()) / "measure-faults")
+    session = still_session()
     with tempfile.TemporaryDirectory() as folder:
         watcher, trials, cameras = soak(count, seed, session, Path(folder))
         said = "\n".join(line for _, line in watcher.lines)

@@ -30,18 +30,18 @@ def rms(measured, column):
 
 
 @pytest.mark.slow
-def test_still_reaches_the_paper_s_accuracy(shared):
+def test_still_reaches_the_paper_s_accuracy(renders):
     """The paper: 0.53 mm (Table I)."""
-    measured = measure(shared / "renders" / "still")
-    assert [m.status for m, _ in measured] == [Status.OK] * 30
+    measured = measure(renders / "still")
+    assert [m.status for m, _ in measured] == [Status.OK] * 10
     assert rms(measured, 0) < 0.5
     assert rms(measured, 1) < 0.9
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "poses"), [("occluded", 16), ("clutter", 16), ("async", 16)])
-def test_hard_recordings_are_measured_or_marked(shared, name, poses):
-    measured = measure(shared / "renders" / name)
+@pytest.mark.parametrize(("name", "poses"), [("occluded", 4), ("async", 3)])
+def test_hard_recordings_are_measured_or_marked(renders, name, poses):
+    measured = measure(renders / name)
     assert sum(m.pose is not None for m, _ in measured) >= poses
     for m, (position_mm, rotation_deg) in measured:
         if m.pose is None:

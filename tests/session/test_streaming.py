@@ -194,9 +194,9 @@ def test_videos_and_images_in_one_session(recording: Recording) -> None:
             assert abs(film.pixels.mean() - level(film.frame)) < 4
 
 
-@pytest.mark.parametrize(("name", "count"), [("still", 30), ("async", 24)])
-def test_rendered_sessions(shared: Path, name: str, count: int) -> None:
-    with open_session(shared / "renders" / name) as session:
+@pytest.mark.parametrize(("name", "count"), [("still", 10), ("async", 5)])
+def test_rendered_sessions(renders: Path, name: str, count: int) -> None:
+    with open_session(renders / name) as session:
         paired = session.pair()
     assert paired.positions.shape == (count, 4)
     assert np.all(paired.positions >= 0) or name == "async"

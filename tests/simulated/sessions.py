@@ -3,27 +3,69 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import re
 import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
+from types import FunctionType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from measure.simulation import write_session
+from measure import simulation
+from measure.simulation import Scene, write_session
 from tests.simulated.catalogue import scene_catalogue
 
+CACHE = Path(__file__).resolve().parents[2] / ".render_cache"
+_RENDERERS = (Path(simulation.__file__).parent, Path(__file__).parent)
 STILL_SETS, STILL_HZ = 12, 30.0
 
 
-def still_session(cache: Path) -> Path:
-    """The scene `still` at 30 Hz, rendered by the first process that asks for it; read-only."""
-    cache.mkdir(exist_ok=True)
-    folder = cache / "still"
-    with (cache / "still.lock").open("w") as lock:
+def rendered(scene: Scene, times_s: ArrayLike) -> Path:
+    """The session of a scene, rendered by the first process that asks for it; read-only.
+
+    It is kept from run to run under a digest of the scene, the times and what renders them.
+    """
+    sources = (file.read_bytes() for room in _RENDERERS for file in sorted(room.glob("*.py")))
+    digest = hashlib.sha256(b"".join([*_parts((scene, np.asarray(times_s, float))), *sources]))
+    place = CACHE / digest.hexdigest()[:16]
+    place.mkdir(parents=True, exist_ok=True)
+    folder = place / scene.name.replace(" ", "-")
+    with (place / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "truth.csv").exists():
-            write_session(scene_catalogue()["still"], np.arange(STILL_SETS) / STILL_HZ, folder)
+        if not folder.exists():
+            shutil.rmtree(place / "begun", ignore_errors=True)
+            write_session(scene, times_s, place / "begun").rename(folder)
     return folder
+
+
+def _parts(value: object) -> Iterator[bytes]:
+    """What tells a value from others: arrays, records, and functions with what they close over."""
+    if isinstance(value, np.ndarray):
+        yield value.tobytes()
+    elif isinstance(value, Mapping):
+        yield from _parts(tuple(value.items()))
+    elif isinstance(value, tuple | list):
+        for part in value:
+            yield from _parts(part)
+    elif is_dataclass(value) and not isinstance(value, type):
+        yield type(value).__name__.encode()
+        yield from _parts(tuple(getattr(value, one.name) for one in fields(value)))
+    elif isinstance(value, FunctionType):
+        yield value.__qualname__.encode() + value.__code__.co_code
+        yield from _parts(tuple(cell.cell_contents for cell in value.__closure__ or ()))
+    elif hasattr(value, "__dict__"):
+        yield type(value).__name__.encode()
+        yield from _parts(tuple(vars(value).items()))
+    else:
+        yield repr(value).encode()
+
+
+def still_session() -> Path:
+    """The scene `still` at 30 Hz."""
+    return rendered(scene_catalogue()["still"], np.arange(STILL_SETS) / STILL_HZ)
 
 
 def part_of(session: Path, frames: range, folder: Path) -> Path:

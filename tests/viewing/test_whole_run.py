@@ -24,7 +24,7 @@ from measure.viewing.recording import RunRecording, open_recording
 from measure.viewing.viewer import viewer_program
 from tests.viewing.reading import column, read_recording
 
-SETS = 12
+SETS = 10
 REPEATS = 10
 DARK = "cam3"
 CAMERAS = ("cam0", "cam1", "cam2", DARK)
@@ -33,9 +33,9 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def session(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def session(renders: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first frame sets of a render; the lens cap is on one camera."""
-    source = shared / "renders" / "still"
+    source = renders / "still"
     folder = tmp_path_factory.mktemp("dark") / "session"
     folder.mkdir()
     for name in ("session.toml", "body.toml", "calibration.toml", "truth.csv"):
