@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 from measurements import BODY, CAMERAS
 
-from measure.api import load_profile, measure_session, measuring
+from measure.api import load_profile, measure_session
 from measure.errors import SessionError
 from measure.geometry import RigidTransform
 from measure.host import Loaded, Registry, SelfCalibratingDetector
@@ -136,16 +136,6 @@ def test_a_picture_that_cannot_be_read_is_told_when_it_is_due(recording):
     assert next(measured).index == 0
     with pytest.raises(SessionError, match="000001"):
         next(measured)
-
-
-def test_profiles_that_do_not_learn_build_no_second_pipeline(recording, monkeypatch):
-    monkeypatch.setattr(burn_in, "burn_in", lambda *_: pytest.fail("burnt in"))
-    with open_session(recording.path) as session:
-        for profile in (
-            load_profile("paper"),
-            load_profile("precise").with_setting("detector", "self_calibrate", False),
-        ):
-            measuring.calibrated_pipeline(session, profile, Registry.discover())
 
 
 @pytest.mark.parametrize(("hidden", "shown"), [(False, 16), (True, 64)])

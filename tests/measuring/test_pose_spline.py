@@ -48,13 +48,6 @@ def test_a_spline_follows_a_shaking_body_between_its_pictures():
     assert np.linalg.norm(missed[:3]) > 0.1
 
 
-def test_at_its_own_time_the_spline_is_the_pose():
-    knots = poses(7)
-    motion = motion_at(knots[2], knots[:2], knots[3:])
-    np.testing.assert_allclose(motion.at(knots[2].time_s).matrix, shaken(2 / 30).matrix, atol=1e-12)
-    np.testing.assert_allclose(motion.moved(knots[2].time_s), 0, atol=1e-12)
-
-
 @pytest.mark.parametrize("at", [0, 1, 3, 6])
 def test_a_straight_path_is_exact_with_the_noise_of_its_knots(at):
     way = np.array([40.0, -20, 10])
@@ -72,25 +65,6 @@ def test_a_straight_path_is_exact_with_the_noise_of_its_knots(at):
         found.append(motion_at(noisy[at], noisy[:at], noisy[at + 1 :]).velocity)
     stated = np.sqrt(np.diag(motion.velocity_covariance))
     np.testing.assert_allclose(np.std(found, axis=0), stated, rtol=0.2)
-
-
-@pytest.mark.parametrize("count", [2, 3, 4, 7])
-@pytest.mark.parametrize("at", [0, 1, -1])
-def test_the_spline_is_the_not_a_knot_spline_of_the_textbooks(count, at):
-    from scipy.interpolate import CubicSpline
-
-    times = np.cumsum([0.03, 0.04, 0.03, 0.05, 0.03, 0.06, 0.03][:count])
-    knots = [pose(t) for t in times]
-    at %= count
-    motion = motion_at(knots[at], knots[:at], knots[at + 1 :])
-    places = np.stack([k.world_from_body.difference(knots[at].world_from_body) for k in knots])
-    curve = CubicSpline(times, np.hstack([places, np.eye(count)]))
-    when = np.linspace(times[0] - 0.02, times[-1] + 0.02, 23)
-    np.testing.assert_allclose(motion.moved(when), curve(when)[:, :6], atol=1e-10)
-    np.testing.assert_allclose(motion.velocity, curve(times[at], 1)[:6], atol=1e-9)
-    np.testing.assert_allclose(motion.acceleration, curve(times[at], 2)[:6], atol=1e-7)
-    wide = 1 + abs(curve(times[at], 2)[6 + at]) / 2 * np.var([0.0, 0.01, 0.05])
-    assert motion.error_growth([1.0, 1.01, 1.05]) == pytest.approx(wide)
 
 
 def test_a_path_with_a_kink_is_known_to_be_uncertain():

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from measure.geometry import RigidTransform
-from measure.model import BallPosition, BallView, Detection, Image, Motion, Pose
-from measure.model.observations import Reason, State
+from measure.model import Detection, Image, Motion
 
 
 def test_a_pixel_array_is_decoded_once():
@@ -34,21 +33,6 @@ def test_constant_velocity_moves_and_turns_in_the_world():
     np.testing.assert_allclose(later.rotation, turn.rotation @ start.rotation, atol=1e-12)
     np.testing.assert_allclose(motion.at(2.0).matrix, start.matrix)
     np.testing.assert_allclose(Motion.at_rest(start, 0.0).at(9.0).matrix, start.matrix)
-
-
-def test_a_view_is_effective_only_with_a_detection():
-    seen = Detection("green", "cam0", 0.0, np.zeros(2), 60.0, np.eye(2))
-    assert BallView("green", "cam0", State.EFFECTIVE, Reason.NONE, seen).effective
-    assert not BallView("green", "cam0", State.EFFECTIVE).effective
-    assert not BallView("green", "cam0", State.SUSPENDED, Reason.COLOR, seen).effective
-
-
-def test_summaries_of_residuals_and_covariances():
-    position = BallPosition("green", 0.0, np.zeros(3), np.eye(3), ("a", "b"), np.array([3.0, 4]))
-    assert position.rms_mm == pytest.approx(12.5**0.5)
-    covariance = np.diag([0.01, 0.04, 0.04, 9, 9, 9])
-    pose = Pose(0.0, RigidTransform.identity(), covariance, 0.0, 0.0, (), ())
-    assert pose.position_sd_mm == pytest.approx(0.3)
 
 
 def test_what_was_seen_cannot_be_changed():

@@ -10,7 +10,6 @@ from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure_plugins.detectors import outline
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
-from tests.compiled import nothing_compiles
 from tests.plugins.detectors.drawing import BGR, draw, expect, image_of, to_picture
 from tests.scenes import FOUR, LENS, RAVEN
 
@@ -190,36 +189,6 @@ def test_same_picture_same_bits(camera, detector):
     first, second = (detector.detect(image_of(camera, pixels), expected)[0] for _ in range(2))
     assert np.array_equal(first.outline_px, second.outline_px)
     assert np.array_equal(first.covariance_px, second.covariance_px)
-
-
-@pytest.mark.parametrize("size_wh", [(64, 48), (20, 24)])
-def test_small_pictures_are_warmed_up_with_a_smaller_disc(size_wh):
-    lens = Intrinsics(size_wh, [[100.0, 0, size_wh[0] / 2], [0, 100.0, size_wh[1] / 2], [0, 0, 1]])
-    small = Camera("small", lens, RigidTransform.identity())
-    OutlineDetector(OutlineConfig(), RAVEN, small).warm_up()
-
-
-def test_warm_up_compiles_every_hot_loop(camera):
-    """For the very types that measuring uses: else the first picture would compile them again."""
-    from measure_plugins._acquisition import circles, color_table
-    from measure_plugins._outline.fitting import batch as balls
-    from measure_plugins._outline.fitting import scan
-
-    OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
-    loops = (
-        balls.measure_balls,
-        scan.scan_with_model,
-        balls.cones_of,
-        balls.measure_circles,
-        circles.distinct,
-        color_table.classify,
-    )
-    with nothing_compiles(*loops):
-        center = at_angle(3.0, 200.0)
-        image = image_of(camera, picture(camera, center))
-        fresh = OutlineDetector(OutlineConfig(), RAVEN, camera)
-        assert fresh.detect(image, [])
-        assert fresh.detect(image, everything_expected(camera, "red", center))
 
 
 def test_warming_up_leaves_no_trace(camera):

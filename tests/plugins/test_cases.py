@@ -1,0 +1,91 @@
+"""One table: light, balls and cameras of every kind, and what the default method makes of them.
+
+The compiled kernels are tested here, through the door that users take: a fault in one of them shows
+as pixels, as millimetres, or as errors that the stated covariance does not hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from benchmarks.altered import altered_copy
+from measure.api import load_profile, measure_session
+from measure.host import Registry
+from measure.session import open_session, read_trajectory
+from tests.simulated.catalogue import scene_catalogue
+from tests.simulated.sessions import rendered
+from tests.simulated.unusual import unusual_scenes
+
+pytestmark = pytest.mark.slow
+TIMES_S = (0.0, 0.1, 0.2)
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is measured, and how far it may be off at most.
+
+    Attributes:
+        name: of a scene of ours, or of a path-traced recording and what alters it.
+        centers_px: RMS along an axis of the centres of balls that count.
+        position_mm: RMS of the pose.
+        rotation_deg: RMS of the pose.
+    """
+
+    name: str
+    centers_px: float
+    position_mm: float
+    rotation_deg: float
+
+
+CASES = (
+    Case("plain-grey", 0.13, 0.06, 0.04),
+    Case("clutter", 0.44, 0.08, 0.35),
+    Case("matt", 0.13, 0.03, 0.04),
+    Case("sharpened", 0.22, 0.04, 0.07),
+    Case("four-balls", 0.17, 0.04, 0.07),
+    Case("desk-lamp", 0.54, 0.13, 0.19),
+    Case("overexposed", 0.52, 0.07, 0.05),
+    Case("soft-light", 0.1, 0.02, 0.03),
+    Case("white-room", 0.38, 0.1, 0.15),
+    Case("far", 0.27, 0.14, 0.4),
+    Case("wide-lens", 0.19, 0.05, 0.05),
+    Case("out-of-round", 0.13, 0.02, 0.03),
+    Case("four-matt-bent", 0.17, 0.06, 0.04),
+    Case("still: lateral", 0.42, 0.1, 0.12),
+)
+
+
+def session_of(name, renders, folder):
+    """The folder of a case's session."""
+    recording, _, alteration = name.partition(": ")
+    if alteration:
+        altered_copy(renders / recording, folder, alteration)
+        return folder
+    return rendered({**scene_catalogue(), **unusual_scenes()}[name], TIMES_S)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_errors_stay_within_bounds_and_within_what_is_stated(case, renders, tmp_path):
+    off_px, off, squares = [], [], []
+    with open_session(session_of(case.name, renders, tmp_path / "altered")) as session:
+        truth = read_trajectory(session.truth_path)
+        cameras = {camera.name: camera for camera in session.cameras}
+        measured = measure_session(session, load_profile("precise"), Registry.discover())
+        for _, one in measured:
+            assert one.pose is not None, one.doubts
+            delta = one.pose.world_from_body.difference(truth.at([one.pose.time_s])[0])
+            off.append([np.linalg.norm(delta[:3]), np.degrees(np.linalg.norm(delta[3:]))])
+            squares.append(delta @ np.linalg.solve(one.pose.covariance, delta) / 6)
+            for d in (view.detection for view in one.views if view.effective):
+                ball = session.body.balls[session.body.index(d.ball)]
+                pose = truth.at([d.time_s])[0]
+                off_px += list(
+                    d.center_px - cameras[d.camera].project(pose.apply(ball.center_mm)[None])[0]
+                )
+    found = np.sqrt(np.mean(np.square(off_px))), *np.sqrt(np.mean(np.square(off), axis=0))
+    assert len(off_px) >= 60
+    assert np.all(np.array(found) < [case.centers_px, case.position_mm, case.rotation_deg])
+    assert np.median(squares) < 3
