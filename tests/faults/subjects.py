@@ -29,6 +29,7 @@ from measure_learning.robots import raven_schema, write_log
 from measure_learning.robots.bags import DEFINITION, MESSAGE
 from measure_learning.robots.raven import FIELDS
 from measure_learning.simulator import simulate
+from tests.bags import Bag
 from tests.faults import mutating
 from tests.faults.mutating import BINARY, TEXT, Mutation
 from tests.learning.robots.test_logs import RAVEN_STATE, _write_counted
@@ -316,33 +317,16 @@ def _write_robot(folder: Path) -> None:
 
 def _write_ros2(path: Path, log: RobotLog) -> None:
     """The folder of a ROS 2 bag of RAVEN-II's states, both arms of which do the same."""
-    from rosbags import rosbag2, typesys
-
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    store.register(typesys.get_types_from_msg(DEFINITION, MESSAGE))
-    plugin = rosbag2.StoragePlugin
-    kept = plugin.MCAP if path.name == "mcap" else plugin.SQLITE3
-    types = store.types
     ends = np.cumsum([field.per_arm for field in FIELDS])
-    with rosbag2.Writer(path, version=9, storage_plugin=kept) as writer:
-        connection = writer.add_connection("/ravenstate", MESSAGE, typestore=store)
-        for time_s, state in zip(log.times_s, log.states, strict=True):
-            stamp_ns = round(1e9 * time_s)
-            seconds, rest = divmod(stamp_ns, 10**9)
-            stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
-            values = {
+    with Bag(path, f".{path.name}", {MESSAGE: DEFINITION}) as bag:
+        for time_s, numbers in zip(log.times_s, log.states, strict=True):
+            state = {
                 field.name: np.tile(part, 2).astype(np.int32 if field.integer else np.float32)
-                for field, part in zip(FIELDS, np.split(state, ends[:-1]), strict=True)
+                for field, part in zip(FIELDS, np.split(numbers, ends[:-1]), strict=True)
             }
-            message = types[MESSAGE](
-                hdr=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
-                runlevel=3,
-                sublevel=0,
-                last_seq=0,
-                dt=types["builtin_interfaces/msg/Duration"](sec=0, nanosec=1_000_000),
-                **values,
-            )
-            writer.write(connection, stamp_ns, store.serialize_cdr(message, MESSAGE))
+            state |= {"runlevel": 3, "sublevel": 0, "last_seq": 0, "hdr": bag.header(time_s)}
+            state["dt"] = bag.make("builtin_interfaces/Duration", sec=0, nanosec=1_000_000)
+            bag.send("/ravenstate", MESSAGE.replace("/msg", ""), time_s, **state)
 
 
 def _write_checkpoint(folder: Path) -> None:

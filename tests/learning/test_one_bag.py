@@ -54,10 +54,9 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RigidTransform]
             for time_s, file in zip(stamps, pictures, strict=True):
                 topic = f"/{camera}/image_raw/compressed"
                 bag.jpeg(topic, START_S + time_s, file.read_bytes())
-        names, nothing = [f"{joint}_joint" for joint in JOINTS], np.zeros(0)
+        names = [f"{joint}_joint" for joint in JOINTS]
         for time_s, q in zip(logged + START_S + LATE_S, moved(logged), strict=True):
-            state = {"name": names, "position": q, "velocity": nothing, "effort": nothing}
-            bag.send("/joint_states", "JointState", time_s, time_s, **state)
+            bag.joints("/joint_states", time_s, names, q)
     for name in ("calibration.toml", "body.toml"):
         shutil.copy(made / name, folder)
     tables = [{"name": c.name, "video": f"lab#/{c.name}/image_raw/compressed"} for c in rig]

@@ -25,7 +25,6 @@ from measure_learning.core import (
     correct_file,
     read_states,
 )
-from measure_learning.core.server import SILENT_S
 from measure_learning.onnx import OnnxModel
 from measure_learning.robots import tables
 from measure_learning.robots.tables import Table
@@ -209,59 +208,6 @@ def test_answers_over_udp(server: EstimateServer, model_path: Path, split: Split
     client.close()
     assert server.counters.corrected == 30
     assert server.latency_us()["p50_us"] > 0
-
-
-def test_senders_do_not_share_a_history(model_path: Path, split: Split) -> None:
-    """A second one that began with zero used to reset the first one's; of many, old ones went."""
-    states, now = split.test.states, [0.0]
-    server = EstimateServer(OnnxModel.load(model_path), ("127.0.0.1", 0), clock=lambda: now[0])
-    alone = OnnxModel.load(model_path)
-    refused = []
-    for i in range(20):
-        wanted = alone.update(states[i], float(i)).error_mm
-        for port in (1, 2, 100 + i):
-            packet = StatePacket(i if port < 100 else 0, float(i), states[i]).pack()
-            got = AnswerPacket.unpack(server.answer(packet, ("127.0.0.1", port))).answer
-            if port < 100:
-                assert isinstance(got, Correction)
-                np.testing.assert_allclose(got.error_mm, wanted, atol=1e-4)
-            elif got is Refusal.CROWDED:
-                refused.append(port)
-        now[0] += 1.0
-    assert refused == list(range(114, 120))
-    assert server.counters.refused[Refusal.CROWDED] == 6
-    assert server.counters.corrected == 54
-    now[0] += SILENT_S - 10.0  # some of the others are silent now
-    wanted = alone.update(states[20], 20.0).error_mm
-    for port in (1, 300, 2):
-        packet = StatePacket(0 if port == 300 else 20, 20.0, states[20]).pack()
-        got = AnswerPacket.unpack(server.answer(packet, ("127.0.0.1", port))).answer
-        assert isinstance(got, Correction)
-        if port < 100:
-            np.testing.assert_allclose(got.error_mm, wanted, atol=1e-4)
-    server.close()
-
-
-def test_what_is_no_valid_state_takes_no_place(model_path: Path, split: Split) -> None:
-    """Twenty foreign ports with 22 bytes each used to push out the robot's history."""
-    states = split.test.states
-    server = EstimateServer(OnnxModel.load(model_path), ("127.0.0.1", 0))
-    broken = np.where(np.arange(states.shape[1]) == 3, np.inf, states[0])
-    foreign = [b"garbage", b"", StatePacket(0, 0.0, np.zeros(0)).pack()]
-    foreign += [StatePacket(0, 0.0, broken).pack(), StatePacket(0, np.inf, states[0]).pack()]
-    alone = OnnxModel.load(model_path)
-    for i in range(10):
-        packet = StatePacket(i, float(i), states[i]).pack()
-        got = AnswerPacket.unpack(server.answer(packet, ("127.0.0.1", 1))).answer
-        assert isinstance(got, Correction)
-        wanted = alone.update(states[i], float(i)).error_mm
-        np.testing.assert_allclose(got.error_mm, wanted, atol=1e-4)
-        for port in range(100, 120):
-            for data in foreign:
-                answer = AnswerPacket.unpack(server.answer(data, ("127.0.0.1", port))).answer
-                assert isinstance(answer, Refusal)
-    assert server.counters.refused[Refusal.CROWDED] == 0
-    server.close()
 
 
 def test_an_answer_that_cannot_be_sent_ends_nothing(model_path: Path) -> None:

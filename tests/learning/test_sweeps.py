@@ -18,7 +18,6 @@ from measure.errors import DivergedError, EstimatorError
 from measure.host import Dataset, Estimator, Registry
 from measure_learning.core import files
 from measure_learning.core.sweeping import read_space
-from tests.dask_cluster import Cluster, wait_for
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
@@ -159,28 +158,6 @@ def test_a_killed_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
     assert len(scores) >= 8
     assert scores == sorted(scores)
     assert all(0 < score < 100 for score in scores)
-
-
-@pytest.mark.slow
-def test_a_killed_dask_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
-    pytest.importorskip("distributed", reason="a scheduler needs the extra 'cluster'")
-    space, journal = tmp_path / "space.toml", tmp_path / "journal.log"
-    space.write_text(SPACE)
-    with Cluster(tmp_path) as cluster:
-        words = [sys.executable, "-m", "measure", "sweep", str(data), str(space)]
-        words += ["--journal", str(journal), "--estimator", "ridge", "--trials", "12", "--json"]
-        words += ["--scheduler", cluster.address]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as runner:
-            wait_for(lambda: journal.exists() and '"op_code":6' in journal.read_text(), runner)
-            cluster.workers[0].send_signal(signal.SIGKILL)
-            printed, _ = runner.communicate(timeout=240)
-            assert runner.returncode == 0
-        assert cluster.workers[0].poll() == -signal.SIGKILL
-        assert cluster.workers[1].poll() is None
-    state = json.loads(printed)
-    assert (state["finished"], state["failed"], state["running"]) == (12, 0, 0)
-    assert all(0 < score < 100 for score, _ in state["best"])
 
 
 def test_a_scheduler_that_is_not_there_is_named(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from measure.errors import CalibrationError, SessionError
 from measure.results import read_run
 from measure.session import dump_toml, open_session, open_video_stream, read_calibration
 from measure_studio.capture import parse_cameras
+from tests import bags
 
 rosbags = pytest.importorskip("rosbags")
 
@@ -25,55 +26,30 @@ LATE_S = 0.02
 KINDS = ("one.bag", "two.mcap", "three.db3")
 
 
-class Bag:
-    """A bag by `rosbags`, of ROS 1 or 2, of pictures and lenses."""
+class Bag(bags.Bag):
+    """A bag of pictures and lenses; those of ROS 2 are folders."""
 
     def __init__(self, path: Path) -> None:
-        from rosbags import rosbag1, rosbag2, typesys
+        ros1 = path.suffix == ".bag"
+        super().__init__(path if ros1 else path.with_suffix(""), path.suffix)
 
-        self.ros1 = path.suffix == ".bag"
-        stores = typesys.Stores
-        self.store = typesys.get_typestore(stores.ROS1_NOETIC if self.ros1 else stores.ROS2_HUMBLE)
-        kept = {".mcap": rosbag2.StoragePlugin.MCAP}.get(path.suffix, rosbag2.StoragePlugin.SQLITE3)
-        self.path = path if self.ros1 else path.with_suffix("")
-        if self.ros1:
-            self.writer: Any = rosbag1.Writer(path)
-        else:
-            self.writer = rosbag2.Writer(self.path, version=9, storage_plugin=kept)
-        self.topics: dict[str, Any] = {}
-
-    def __enter__(self) -> Self:
-        self.writer.open()
-        return self
-
-    def __exit__(self, *problem: object) -> None:
-        self.writer.close()
-
-    def send(self, topic: str, kind: str, time_s: float, received_s: float, **fields: Any) -> None:
-        kind, ns = f"sensor_msgs/msg/{kind}", round((time_s - START_S) * 1e9) + START_S * 10**9
-        types, at = self.store.types, round((received_s - START_S) * 1e9) + START_S * 10**9
-        if time_s == 0:
-            ns = 0
-        stamp = types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
-        seq = {"seq": 0} if self.ros1 else {}
-        header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="", **seq)
-        if topic not in self.topics:
-            self.topics[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
-        message = types[kind](header=header, **fields)
-        pack = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
-        self.writer.write(self.topics[topic], at, pack(message, kind))
+    def publish(
+        self, topic: str, kind: str, time_s: float, received_s: float, **fields: Any
+    ) -> None:
+        header = self.header(time_s)
+        self.send(topic, f"sensor_msgs/{kind}", received_s, header=header, **fields)
 
     def jpeg(self, topic: str, time_s: float, data: bytes, late_s: float = LATE_S) -> None:
         data_array = np.frombuffer(data, np.uint8)
         received = (time_s or START_S) + late_s
-        self.send(topic, "CompressedImage", time_s, received, format="jpeg", data=data_array)
+        self.publish(topic, "CompressedImage", time_s, received, format="jpeg", data=data_array)
 
     def image(
         self, topic: str, time_s: float, encoding: str, rows: np.ndarray, **more: Any
     ) -> None:
         """`rows` are the bytes (h, step) of the picture."""
         fields = {"width": 8, "height": len(rows), "step": rows.shape[1]} | more
-        self.send(
+        self.publish(
             topic, "Image", time_s, time_s + LATE_S, encoding=encoding, is_bigendian=0,
             data=rows.reshape(-1).copy(), **fields,
         )  # fmt: skip
@@ -89,9 +65,9 @@ class Bag:
         roi = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
         roi |= changed.pop("roi", {})
         fields = {"height": 480, "width": 640, "distortion_model": "plumb_bob"} | changed
-        self.send(
+        self.publish(
             topic, "CameraInfo", START_S, START_S, binning_x=0, binning_y=0, **arrays,
-            roi=self.store.types["sensor_msgs/msg/RegionOfInterest"](**roi), **fields,
+            roi=self.make("sensor_msgs/RegionOfInterest", **roi), **fields,
         )  # fmt: skip
 
 

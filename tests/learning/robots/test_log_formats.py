@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from measure.errors import EstimatorError
 from measure.robots import RobotLog
 from measure_learning.core.files import read_labelled
 from measure_learning.robots import LogFile, find_schema, read_log, write_log
+from tests import bags
 
 TIMES = 100.0 + np.arange(40) / 100
 WAVE = 0.3 * np.sin(np.arange(40)[:, None] / 7 + np.arange(7)) - 0.4
@@ -81,80 +82,37 @@ def plain(path: Path) -> None:
     path.write_text("\r\n".join(lines) + "\r\n", encoding="utf-16")
 
 
-class Bag:
-    """A bag by `rosbags`, of ROS 1 or 2."""
+class Bag(bags.Bag):
+    """A bag of joints and tips."""
 
     def __init__(self, path: Path) -> None:
-        from rosbags import rosbag1, rosbag2, typesys
-
-        self.ros1 = path.suffix == ".bag"
-        stores = typesys.Stores
-        self.store = typesys.get_typestore(stores.ROS1_NOETIC if self.ros1 else stores.ROS2_HUMBLE)
         tree = "geometry_msgs/TransformStamped[] transforms"
-        if self.ros1:
-            self.store.register(typesys.get_types_from_msg(tree, "tf2_msgs/msg/TFMessage"))
-        kinds = rosbag2.StoragePlugin
-        kept = kinds.MCAP if path.suffix == ".mcap" else kinds.SQLITE3
-        self.writer = (
-            rosbag1.Writer(path)
-            if self.ros1
-            else rosbag2.Writer(path, version=9, storage_plugin=kept)
-        )
-        self.topics: dict[str, Any] = {}
-
-    def __enter__(self) -> Self:
-        self.writer.open()
-        return self
-
-    def __exit__(self, *problem: object) -> None:
-        self.writer.close()
-
-    def make(self, kind: str, **fields: Any) -> Any:
-        return self.store.types[kind](**fields)
-
-    def header(self, time_s: float, frame: str = "") -> Any:
-        ns = round(time_s * 1e9)
-        stamp = self.make("builtin_interfaces/msg/Time", sec=ns // 10**9, nanosec=ns % 10**9)
-        seq = {"seq": 0} if self.ros1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **seq)
-
-    def send(self, topic: str, kind: str, time_s: float, message: Any) -> None:
-        if topic not in self.topics:
-            self.topics[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
-        pack = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
-        self.writer.write(self.topics[topic], round(time_s * 1e9), pack(message, kind))
-
-    def joints(self, topic: str, time_s: float, names: Any, values: Any) -> None:
-        message = self.make(
-            "sensor_msgs/msg/JointState", header=self.header(time_s), name=list(names),
-            position=np.array(values), velocity=np.zeros(0), effort=np.zeros(0),
-        )  # fmt: skip
-        self.send(topic, "sensor_msgs/msg/JointState", time_s, message)
+        known = {"tf2_msgs/msg/TFMessage": tree} if path.suffix == ".bag" else {}
+        super().__init__(path, definitions=known)
 
     def vector(self, kind: str, xyz: Any) -> Any:
-        return self.make(f"geometry_msgs/msg/{kind}", **dict(zip("xyz", xyz, strict=True)))
+        return self.make(f"geometry_msgs/{kind}", **dict(zip("xyz", xyz, strict=True)))
 
     def turn(self) -> Any:
-        return self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+        return self.make("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
 
     def pose(self, topic: str, time_s: float, xyz_m: Any) -> None:
         place = self.make(
-            "geometry_msgs/msg/Pose", position=self.vector("Point", xyz_m), orientation=self.turn()
+            "geometry_msgs/Pose", position=self.vector("Point", xyz_m), orientation=self.turn()
         )
-        kind = "geometry_msgs/msg/PoseStamped"
-        self.send(topic, kind, time_s, self.make(kind, header=self.header(time_s), pose=place))
+        header = self.header(time_s)
+        self.send(topic, "geometry_msgs/PoseStamped", time_s, header=header, pose=place)
 
     def frame(self, topic: str, time_s: float, parent: str, child: str, xyz_m: Any) -> None:
         body = self.make(
-            "geometry_msgs/msg/Transform", translation=self.vector("Vector3", xyz_m),
+            "geometry_msgs/Transform", translation=self.vector("Vector3", xyz_m),
             rotation=self.turn(),
         )  # fmt: skip
         stamped = self.make(
-            "geometry_msgs/msg/TransformStamped", header=self.header(time_s, parent),
+            "geometry_msgs/TransformStamped", header=self.header(time_s, parent),
             child_frame_id=child, transform=body,
         )  # fmt: skip
-        kind = "tf2_msgs/msg/TFMessage"
-        self.send(topic, kind, time_s, self.make(kind, transforms=[stamped]))
+        self.send(topic, "tf2_msgs/TFMessage", time_s, transforms=[stamped])
 
 
 def crtk(path: Path) -> None:

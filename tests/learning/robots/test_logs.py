@@ -11,6 +11,7 @@ from measure.errors import EstimatorError
 from measure.robots import RobotLog
 from measure_learning.robots import find_schema, raven_schema, read_log, write_log
 from measure_learning.simulator import simulate
+from tests.bags import Bag
 
 
 @pytest.fixture(scope="module")
@@ -90,39 +91,21 @@ def test_an_older_message_is_refused(tmp_path: Path) -> None:
 
 
 def _write_counted(path: Path, definition: str) -> None:
-    from rosbags import rosbag1, rosbag2, typesys
-
-    ros1 = path.suffix == ".bag"
-    store = typesys.get_typestore(
-        typesys.Stores.ROS1_NOETIC if ros1 else typesys.Stores.ROS2_HUMBLE
-    )
     text = definition.replace("Header hdr", "std_msgs/Header hdr")
-    if not ros1:
+    if path.suffix != ".bag":
         text = text.replace("duration dt", "builtin_interfaces/Duration dt")
-    kind = "raven_2/msg/raven_state"
-    store.register(typesys.get_types_from_msg(text, kind))
     names = [line.split() for line in definition.split("\n") if "[" in line]
     values, start = {}, 1
     for (number, name), count in zip(names, COUNTS[: len(names)], strict=True):
         dtype = np.int32 if number.startswith("int32") else np.float32
         values[name] = np.arange(start, start + count, dtype=dtype)
         start += count
-    storage = rosbag2.StoragePlugin
-    kept = storage.MCAP if path.suffix == ".mcap" else storage.SQLITE3
-    writer = rosbag1.Writer(path) if ros1 else rosbag2.Writer(path, version=9, storage_plugin=kept)
-    with writer:
-        connection = writer.add_connection("/ravenstate", kind, typestore=store)
+    with Bag(path, definitions={"raven_2/msg/raven_state": text}) as bag:
         for index in range(2):
-            stamp = store.types["builtin_interfaces/msg/Time"](sec=100, nanosec=1_000_000 * index)
-            seq = {"seq": index} if ros1 else {}
-            message = store.types[kind](
-                hdr=store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="", **seq),
-                runlevel=3, sublevel=0, last_seq=index,
-                dt=store.types["builtin_interfaces/msg/Duration"](sec=0, nanosec=1_000_000),
-                **values,
-            )  # fmt: skip
-            data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, kind)
-            writer.write(connection, round(1e9 * 100 + 1e6 * index), data)
+            at_s = 100 + index / 1000
+            state = {"runlevel": 3, "sublevel": 0, "last_seq": index, "hdr": bag.header(at_s)}
+            state["dt"] = bag.make("builtin_interfaces/Duration", sec=0, nanosec=1_000_000)
+            bag.send("/ravenstate", "raven_2/raven_state", at_s, **state, **values)
 
 
 @pytest.mark.parametrize("file", ["metadata.yaml", "bag.db3"])
