@@ -17,7 +17,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -201,12 +200,3 @@ def _start(program: str, profile: str) -> tuple[subprocess.Popen[bytes], int, in
     for end in (its_in, its_out, *high):
         os.close(end)
     return process, ours_out, ours_in
-
-
-def save_page(address: str, picture: Path, width: int, height: int, dark: bool = False) -> None:
-    """A picture of a page, once its figures are drawn."""
-    with Chromium(width, height, dark) as page:
-        page.open(address)
-        page.wait_for("document.readyState == 'complete'", 60)
-        page.idle(2.0)
-        picture.write_bytes(page.screenshot(whole=True))

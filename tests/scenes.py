@@ -98,11 +98,3 @@ def see(cameras, body, world_from_body, sd_px=0.1, rng=None, time_s=0.0, skip=()
 def of_ball(detections, name):
     """The detections of one ball."""
     return [d for d in detections if d.ball == name]
-
-
-def bearings_swapped(cameras, a="cam0", b="cam1"):
-    """The rig with the calibrations of two cameras exchanged."""
-    out = dict(cameras)
-    out[a] = Camera(a, cameras[b].intrinsics, cameras[b].world_from_camera)
-    out[b] = Camera(b, cameras[a].intrinsics, cameras[a].world_from_camera)
-    return out

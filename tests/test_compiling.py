@@ -67,46 +67,7 @@ from measure.compiling import is_kept_for_now
 from parts.whole import whole
 print(whole(1.0), sum(whole.stats.cache_hits.values()), is_kept_for_now())
 """
-_CONSTANTS = """from measure.compiling import compiled
-from parts.part import part
-
-@compiled
-def several(x):
-    return part(1) + part(2) + part(x)
-"""
-_CALL_CONSTANTS = """from parts.constants import several
-from parts.part import part
-print(several(3), len(part.signatures))
-"""
-_SHARE = """import sys, time
-import parts.part, parts.whole
-from measure.compiling import share_compiled
-sys.modules |= {"measure.one": parts.part, "measure.two": parts.whole}
-now = time.time() + 60.0
-print(share_compiled(now), share_compiled(0.0), parts.whole.whole(1.0), share_compiled(now))
-"""
 _WAYS = "(halved(x), halved(y))", "both(x, y)"
-_LEVEL = """import numba
-import measure.compiling
-print(int(numba.config.OPT))
-"""
-
-_LENGTHS = """import numba
-import numpy as np
-
-def add(one, other):
-    for i in range(len(one)):
-        one[i] += other[i]
-
-def length():
-    kernel = numba.njit(add)
-    kernel(np.ones(3), np.ones(3))
-    return len(next(iter(kernel.inspect_asm().values())))
-
-before = length()
-import measure.compiling
-print(before, length())
-"""
 
 
 @pytest.fixture
@@ -191,29 +152,3 @@ def test_code_made_by_whoever_may_write_the_installation_serves_all(package: Pat
         file.unlink()
     assert _printed(nowhere, folder, **theirs) == [2.5, 0, 1]
     assert not list(folder.glob("triball-code-*"))
-
-
-def test_constants_are_no_types_of_their_own(package: Path) -> None:
-    (package / "constants.py").write_text(_CONSTANTS, "utf-8")
-    assert _printed(_CALL_CONSTANTS, package.parent) == [12.0, 1]
-
-
-def test_the_share_counts_what_is_in_use_or_was_compiled_elsewhere(package: Path) -> None:
-    assert _printed(_SHARE, package.parent) == [0, 0, 2.5, 1]
-    # Loaded from disk, the outer one holds the inner one, which is in use nowhere else.
-    assert _printed(_SHARE, package.parent) == [0, 1, 2.5, 0.5]
-
-
-@pytest.mark.parametrize(("asked", "level"), [(None, 2), ("1", 1)])
-def test_optimisation_stops_at_the_second_level_unless_asked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: str | None, level: int
-) -> None:
-    monkeypatch.delenv("NUMBA_OPT", raising=False)
-    if asked is not None:
-        monkeypatch.setenv("NUMBA_OPT", asked)
-    assert _printed(_LEVEL, tmp_path) == [level]
-
-
-def test_loops_are_not_unrolled(tmp_path: Path) -> None:
-    unrolled, plain = _printed(_LENGTHS, tmp_path)
-    assert plain < unrolled

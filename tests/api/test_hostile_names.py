@@ -20,7 +20,7 @@ from measure.cli import main
 from measure.errors import MeasureError
 from measure.host import Registry
 from measure.model import Image
-from measure.session import check_name, files, open_session, read_body, read_calibration
+from measure.session import check_name, open_session, read_body, read_calibration
 from measure_lab import api as lab
 from measure_learning import api as learning_api
 from measure_learning.core import AssemblySettings
@@ -330,7 +330,3 @@ def test_names_of_another_programs_cameras_are_refused(recording: Recording) -> 
     file.write_text(file.read_text().replace('"cam0"', '"../../PWNED"'))
     with pytest.raises(MeasureError, match=r"a camera's name: '\.\./\.\./PWNED' is a path"):
         read_calibration(file)
-
-
-def test_one_rule() -> None:
-    assert check_name is files.check_name

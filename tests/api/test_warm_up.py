@@ -12,16 +12,7 @@ from numba.core import event
 
 from measure.api import RunOptions, load_profile, second_compiler, warming_up
 from measure.host import Registry
-from measure.measuring import Pipeline, Stages
 from tests.session.conftest import write_recording
-
-
-class _Part:
-    def __init__(self):
-        self.warm = 0
-
-    def warm_up(self):
-        self.warm += 1
 
 
 def _add_one(x):
@@ -33,14 +24,6 @@ def _wait_for(count, caplog):
     until_s = time.monotonic() + 20.0
     while caplog.text.count("compiling") < count and time.monotonic() < until_s:
         time.sleep(0.02)
-
-
-def test_every_stage_is_warmed_up_once_and_cameras_share_it():
-    parts = [_Part() for _ in range(5)]
-    detectors = {"cam0": parts[0], "cam1": parts[1]}
-    stages = Stages(detectors, *parts[2:], False, False, False)
-    Pipeline(BODY, CAMERAS, stages).warm_up()
-    assert [part.warm for part in parts] == [1, 0, 1, 1, 1]
 
 
 def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
@@ -58,20 +41,6 @@ def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
             _wait_for(1, caplog)
     assert "compiling" in caplog.text
     assert "done" not in caplog.text
-
-
-def test_a_very_long_warm_up_shows_that_it_goes_on(monkeypatch, caplog):
-    monkeypatch.setattr(warming_up, "PATIENCE_S", 0.05)
-    monkeypatch.setattr(warming_up, "AGAIN_S", 0.05)
-    with caplog.at_level(logging.WARNING), warming_up.compilation_notice() as begun:
-        numba.njit(_add_one)(1)
-        _wait_for(3, caplog)
-        begun()
-        said = caplog.text.count("compiling")
-        time.sleep(0.2)
-    assert said >= 3
-    assert caplog.text.count("after an installation") == 1
-    assert caplog.text.count("compiling") <= said + 1
 
 
 def test_processes_share_what_the_first_has_compiled(monkeypatch, tmp_path):
@@ -110,20 +79,6 @@ def test_second_process_compiles_the_later_stages():
 def test_a_second_process_is_not_left_behind_by_a_failure():
     compiler = _begun_when_compiling(_work())
     compiler.end(at_once=True)
-    assert compiler.process.returncode not in (None, 0)
-
-
-class _Endless:
-    def __reduce__(self):
-        return time.sleep, (600.0,)
-
-
-def test_a_second_process_that_hangs_is_given_up():
-    compiler = _begun_when_compiling((_Endless(),))
-    time.sleep(1.0)
-    begun = time.monotonic()
-    compiler.end(at_once=False)
-    assert time.monotonic() - begun < 10.0
     assert compiler.process.returncode not in (None, 0)
 
 

@@ -14,7 +14,7 @@ from measure.calibration.starts import check_board_against_marks, start_from_boa
 from measure.checking import Level
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
-from tests.calibration.rigs import BOARD, Rig, markers, rig
+from tests.calibration.rigs import Rig, markers, rig
 
 FIELD = MarkerField(tuple(f"m{i:02d}" for i in range(16)), markers())
 
@@ -41,35 +41,6 @@ def test_what_agrees_passes_with_its_disagreement_in_mm(world: Rig) -> None:
     assert check(world, boards(world)) < 1.5
 
 
-def test_two_boards_swapped_between_cameras(world: Rig) -> None:
-    seen = boards(world)
-    a, b = seen["cam0"], seen["cam2"]
-    seen["cam0"] = replace(a, world_from_board=b.world_from_board)
-    seen["cam2"] = replace(b, world_from_board=a.world_from_board)
-    with pytest.raises(CalibrationError, match=r"cam0.*of cam2: are the two swapped"):
-        check(world, seen)
-
-
-def test_two_board_pictures_swapped_between_cameras(world: Rig) -> None:
-    seen = boards(world)
-    a, b = seen["cam0"], seen["cam2"]
-    seen["cam0"] = replace(a, corners=b.corners)
-    seen["cam2"] = replace(b, corners=a.corners)
-    with pytest.raises(CalibrationError, match=r"picture of cam2 fits instead: are the"):
-        check(world, seen)
-
-
-def test_a_mirrored_board_picture(world: Rig) -> None:
-    seen = boards(world)
-    corners = seen["cam0"].corners
-    pixels = corners.pixels * [-1, 1] + [1279, 0]
-    # A detector numbers what it sees in the usual sense of rotation: rows run the other way.
-    numbered = pixels.reshape(6, 9, 2)[::-1].reshape(-1, 2)
-    seen["cam0"] = replace(seen["cam0"], corners=replace(corners, pixels=numbered))
-    with pytest.raises(CalibrationError, match=r"cam0: board and markers disagree.*mirrored"):
-        check(world, seen)
-
-
 def test_a_board_picture_upside_down(world: Rig) -> None:
     """A detector that knows where the board begins finds the same corners."""
     seen = boards(world)
@@ -87,23 +58,6 @@ def test_markers_in_another_unit(world: Rig, in_mm: float, unit: str) -> None:
         check_board_against_marks(world.start[0], boards(world), field, marks)
 
 
-def test_wrong_square_size(world: Rig) -> None:
-    camera = world.start[0]
-    seen = boards(world)
-    seen["cam0"] = replace(seen["cam0"], board=replace(BOARD, square_mm=20.0))
-    start = start_from_board("cam0", camera.intrinsics, seen["cam0"])
-    with pytest.raises(CalibrationError, match=r"1\.2[0-9] times the stated size: check square_mm"):
-        check_board_against_marks(start, seen, FIELD, world.observations.marks["cam0"])
-
-
-def test_marker_names_permuted(world: Rig) -> None:
-    marks = world.observations.marks["cam0"]
-    ids = marks.ids.copy()
-    ids[[0, 1, 2]] = ids[[1, 2, 0]]
-    with pytest.raises(CalibrationError, match=r"names are mixed up: m\d\d sits at the place of"):
-        check(world, boards(world), replace(marks, ids=ids))
-
-
 def test_a_single_marker_at_a_wrong_place_is_named(world: Rig) -> None:
     marks = world.observations.marks["cam0"]
     wrong = int(marks.ids[2])
@@ -113,15 +67,6 @@ def test_a_single_marker_at_a_wrong_place_is_named(world: Rig) -> None:
         check_board_against_marks(
             world.start[0], boards(world), replace(FIELD, points=points), marks
         )
-
-
-def test_a_camera_moved_between_its_two_pictures(world: Rig) -> None:
-    turned = world.true[0].world_from_camera.perturb([0, 0, 0, 0, 0, np.deg2rad(0.5)])
-    moved = replace(world.true[0], world_from_camera=turned)
-    marks = world.observations.marks["cam0"]
-    marks = replace(marks, pixels=moved.project(markers()[marks.ids]))
-    with pytest.raises(CalibrationError, match=r"cam0.*moved between the two pictures"):
-        check(world, boards(world), marks)
 
 
 def test_marks_of_mixed_names_locate_no_camera(world: Rig) -> None:

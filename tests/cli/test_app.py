@@ -277,7 +277,7 @@ def test_functions_of_api_load_when_they_are_asked_for():
 
 
 def _cpu_s(*arguments: str) -> float:
-    """Least CPU time of five runs, children of children not counted."""
+    """Least CPU time of three runs, children of children not counted."""
     code = (
         "import resource, subprocess, sys;"
         "subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, check=True);"
@@ -285,7 +285,7 @@ def _cpu_s(*arguments: str) -> float:
         "print(used.ru_utime + used.ru_stime)"
     )
     command = ("-c", code, sys.executable, *arguments)
-    return min(float(_python(*command).stdout) for _ in range(5))
+    return min(float(_python(*command).stdout) for _ in range(3))
 
 
 def test_help_costs_little_cpu():
@@ -294,18 +294,7 @@ def test_help_costs_little_cpu():
     assert _cpu_s("-m", "measure", "--help") < max(0.3, 10 * empty)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "plugins list --json",
-        "plugins list",
-        "--help",
-        "plugins --help",
-        "--version",
-        "evaluate nowhere 2>&1",
-        "no-such-command 2>&1",
-    ],
-)
+@pytest.mark.parametrize("words", ["plugins list --json", "--help", "evaluate nowhere 2>&1"])
 def test_a_closed_pipe_is_quiet(words):
     """The reader is gone before a word is written, so that every one of them meets it."""
     command = f"{{ sleep 0.5; exec {sys.executable} -m measure {words}; }} | true"

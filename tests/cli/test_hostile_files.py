@@ -90,7 +90,7 @@ def test_nothing_is_written_through_a_link(
     assert not there or precious.read_text() == "a thesis"
 
 
-@pytest.mark.parametrize("name", ["summary.json", "poses.csv", "poses.arrows", "body.toml"])
+@pytest.mark.parametrize("name", ["summary.json", "poses.arrows"])
 @pytest.mark.parametrize("how", ["--resume", "--overwrite"])
 def test_a_run_writes_through_no_link(recording: Recording, name: str, how: str, capsys) -> None:
     assert main([*run_words(recording)]) == 0

@@ -10,12 +10,10 @@ import pytest
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.estimation.multiview import PointObservations, calibration_noise, fit_point
-from measure.estimation.point_fit import nearest_to_rays
 from measure.estimation.pose_fit import fit_pose
 from measure.geometry import RigidTransform, propagate
-from measure.geometry.rays import MIN_PARALLAX_RAD
 from measure.measuring.time_alignment import FrameSetObservations
-from measure.model import BallView, Camera, Detection, Intrinsics, Motion, Pose, Rig
+from measure.model import BallView, Camera, Detection, Motion, Pose, Rig
 from measure.model.observations import State
 from tests.scenes import RAVEN, TARGET, ring, see
 
@@ -141,47 +139,5 @@ def test_a_velocity_that_may_be_wrong_makes_the_pose_of_pictures_out_of_step_les
     assert seen.motion_covariance(pose, _moving(pose, np.zeros(6))) is None
 
 
-def test_balls_without_an_image_say_nothing_of_a_velocity() -> None:
-    """A camera at the world's origin, as where a stereo rig's first camera is the world."""
-    still, known = RigidTransform.identity(), {"velocity_covariance": np.eye(6)}
-    away, ahead = _lone("away", 0.0), _lone("ahead", -500.0)
-    shares = []
-    for some in ((ahead,), (ahead, away)):
-        found = [
-            Detection(ball, camera.name, 0.01 * i, np.zeros(2), 20.0, np.eye(2))
-            for camera in some
-            for i, ball in enumerate(RAVEN.names)
-        ]
-        views = [BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in found]
-        seen = FrameSetObservations.of(views, 0.0, RAVEN, {camera.name: camera for camera in some})
-        pose = Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ())
-        shares.append(seen.motion_covariance(pose, _moving(pose, np.zeros(6), **known)))
-    assert np.max(shares[0]) > 0
-    np.testing.assert_array_equal(shares[1], shares[0])
-
-
-def _lone(name: str, z_mm: float) -> Camera:
-    lens = Intrinsics((640, 480), np.array([[700.0, 0, 320], [0, 700, 240], [0, 0, 1]]))
-    return Camera(name, lens, RigidTransform(np.eye(3), np.array([0.0, 0.0, z_mm])))
-
-
 def _moving(pose: Pose, velocity: Floats, **known: Floats) -> Motion:
     return Motion(pose.world_from_body, pose.time_s, velocity, **known)
-
-
-def test_lines_are_parallel_where_the_eigenvalues_say_so_however_that_is_found_out():
-    rng, parallel = np.random.default_rng(0), 0
-    for trial in range(400):
-        count, apart = int(rng.integers(2, 6)), 10 ** rng.uniform(-6, 0)
-        along = rng.normal(size=3) + apart * rng.normal(size=(count, 3))
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-        origins = 300 * rng.normal(size=(count, 3))
-        across = np.eye(3) - along[:, :, None] * along[:, None, :]
-        normal, right = across.sum(axis=0), (across @ origins[:, :, None]).sum(axis=0)[:, 0]
-        least, _, most = np.linalg.eigvalsh(normal)
-        point, meet = nearest_to_rays(origins, along)
-        assert meet == (least >= most * MIN_PARALLAX_RAD**2), trial
-        parallel += not meet
-        if least > 1e-5 * most:
-            np.testing.assert_allclose(point, np.linalg.solve(normal, right), rtol=1e-7)
-    assert 20 < parallel < 380

@@ -91,7 +91,7 @@ def test_a_kill_at_any_step_costs_nothing(tmp_path: Path) -> None:
         assert contents(folder) == contents(whole), left
 
 
-@pytest.fixture(scope="module", params=["precise", "paper"])
+@pytest.fixture(scope="module", params=["paper"])
 def whole(request: pytest.FixtureRequest, still: Path, tmp_path_factory) -> Uninterrupted:
     """A rendered session measured undisturbed."""
     folder = tmp_path_factory.mktemp("kills")
@@ -116,7 +116,6 @@ def test_killed_twice_a_run_equals_the_uninterrupted_one(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("whole", ["paper"], indirect=True)
 def test_a_second_writer_is_refused_and_readers_are_not(
     whole: Uninterrupted, tmp_path: Path
 ) -> None:

@@ -91,7 +91,3 @@ def shifted(x, y):
 
 def wrong_color(d):
     return replace(d, score=0.0, color_match=0.24)
-
-
-def just_enough_color(d):
-    return replace(d, color_match=0.26)

@@ -10,12 +10,10 @@ import pytest
 from pydantic import ValidationError
 
 from measure.errors import ConfigError
-from measure.host import Registry
 from measure.model import BallColor, Expectation, Image
 from measure.simulation import render
 from measure.simulation.catalogue import plain_scene
 from measure_paper.hough import HoughDetector, HoughSettings
-from tests.simulated.catalogue import four_ball_body
 from tests.simulated.degraded import with_balls
 from tests.simulated.mirroring import mirrored
 
@@ -52,10 +50,6 @@ def expected(camera, time_s, off_px=(4.0, -3.0)):
         Expectation(name, center + np.array(off_px), (0.9 * radius, 1.1 * radius), radius, 12.0)
         for name, (center, radius) in truth(camera, time_s).items()
     ]
-
-
-def test_it_is_registered():
-    assert Registry.discover().find("detector", "hough").plugin is HoughDetector
 
 
 def test_accuracy_in_windows():
@@ -165,10 +159,6 @@ def test_colours_learnt_from_the_same_kind_of_ball_are_refused():
     )
     with pytest.raises(ConfigError, match="two balls of one colour"):
         detector(body=replace(SCENE.body, balls=balls))
-
-
-def test_four_other_colours_are_accepted():
-    assert detector(body=four_ball_body()).body.names == ("white", "blue", "orange", "purple")
 
 
 def test_distances_must_be_in_order():

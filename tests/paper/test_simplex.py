@@ -40,27 +40,6 @@ def euler_zyx(alpha, beta, gamma):
     return turn[2] @ turn[1] @ turn[0]
 
 
-def test_guess_is_the_papers_for_the_papers_body():
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        green, yellow, red = a_pose(rng).apply(RAVEN.centers) + rng.normal(0, 1.0, (3, 3))
-        guess = initial_guess(np.stack([green, yellow, red]), RAVEN.centers)
-        origin = (green + red) / 2
-        x = (green - origin) / np.linalg.norm(green - origin)
-        towards_yellow = (yellow - origin) / np.linalg.norm(yellow - origin)
-        np.testing.assert_allclose(guess.translation, origin, atol=1e-9)
-        np.testing.assert_allclose(guess.rotation[:, 0], x, atol=1e-9)
-        assert np.dot(guess.rotation[:, 1], towards_yellow) > 0.99
-        np.testing.assert_allclose(np.cross(x, towards_yellow) @ guess.rotation[:, 1], 0, atol=1e-9)
-
-
-@pytest.mark.parametrize("body", [RAVEN, FOUR], ids=["paper", "four"])
-def test_guess_is_exact_without_noise(body):
-    pose = a_pose(np.random.default_rng(2), turn_deg=170)
-    guess = initial_guess(pose.apply(body.centers), body.centers)
-    np.testing.assert_allclose(guess.difference(pose), 0, atol=1e-9)
-
-
 @pytest.mark.parametrize("body", [RAVEN, FOUR], ids=["paper", "four"])
 @pytest.mark.parametrize("sd_mm", [0.3, 2.0])
 def test_minimum_is_that_of_the_closed_form(body, sd_mm):
@@ -88,15 +67,6 @@ def test_no_trouble_near_gimbal_lock(alpha, beta, gamma):
     difference = solve(RAVEN, positions).world_from_body.difference(exact)
     assert np.linalg.norm(difference[:3]) < 1e-4
     assert np.linalg.norm(difference[3:]) < 1e-5
-
-
-def test_any_three_of_four_balls_are_enough():
-    pose = a_pose(np.random.default_rng(5))
-    for left_out in FOUR.names:
-        names = [name for name in FOUR.names if name != left_out]
-        found = solve(FOUR, fixes_of(FOUR, pose, names=names))
-        np.testing.assert_allclose(found.world_from_body.difference(pose), 0, atol=1e-5)
-        assert found.balls == tuple(names)
 
 
 def test_two_fixes_give_no_pose():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -22,22 +21,6 @@ from tests.results.conftest import (
 )
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path):
-    """A real file system of 320 kB."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=320k", "tmpfs", str(place)],
-        capture_output=True,
-        check=False,
-    )
-    if mounted.returncode:
-        pytest.skip("may not mount a tmpfs here")
-    yield place
-    subprocess.run(["umount", "--lazy", str(place)], check=True)
-
-
 def _fill(writer: RunWriter, done: list[int]) -> None:
     with writer:
         for i in range(5000):
@@ -54,21 +37,6 @@ class _Flushing(RunWriter):
 
         with writing(self._folder):
             self._flush()
-
-
-def test_a_full_disk_loses_nothing_written_before(small_disk: Path) -> None:
-    folder = small_disk / "run"
-    done: list[int] = []
-    with pytest.raises(RunError) as caught:
-        _fill(_Flushing(folder, made_from(), [BODY], CAMERAS), done)
-    assert "the disk is full; everything measured before is kept" in str(caught.value)
-    assert "--resume" in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert len(done) > 3
-    assert frames_of(folder) == done
-    text = (folder / "poses.csv").read_text()
-    assert text.endswith("\n")
-    assert text.count("\n") in (len(done) + 1, len(done) + 2)
 
 
 class _FullAfter:

@@ -19,7 +19,6 @@ import pytest
 from measure.errors import RunError
 from measure.results import journal, read_run
 from measure.results.folder import FolderLock, check_run_folder
-from measure.results.journal import read_table
 from measure.results.tables import SCHEMAS
 from tests.results.conftest import (
     PERIOD_S,
@@ -136,36 +135,6 @@ def test_an_end_that_a_power_cut_left_is_gone_on_without(
         assert str(getattr(cut, name).to_pylist()) == str(same.to_pylist())
     assert go_on(folder, 8) == len(kept)
     check_whole(folder, 8)
-
-
-def test_a_stream_without_checksums_is_read_as_before(folder: Path) -> None:
-    """One that an earlier version left; a text that is none ends it."""
-    begun(folder, 3)
-    for name in SCHEMAS:
-        path = folder / f"{name}.arrows"
-        table = read_table(folder, name, SCHEMAS[name])
-        with path.open("wb") as out, pa.ipc.new_stream(out, SCHEMAS[name]) as stream:
-            stream.write_table(table, max_chunksize=9)
-    assert frames_of(folder) == [0, 1, 2]
-    path = folder / "poses.arrows"
-    data = path.read_bytes()
-    path.write_bytes(data[:-900] + data[-900:].replace(b"ok", b"\xff\xff"))
-    assert path.read_bytes() != data
-    assert frames_of(folder) == [0, 1]
-    assert go_on(folder, 3) == 2
-
-
-def test_parquet_does_not_tell_when_rows_were_flushed(tmp_path: Path) -> None:
-    for name, every in (("each", 1), ("at once", 1000)):
-        with open_writer(tmp_path / name) as writer:
-            for i in range(40):
-                writer.append(measurement(i, lost=i % 7 == 3))
-                if i % every == 0:
-                    writer._flush()
-            writer.finish()
-    for name in SCHEMAS:
-        file = f"{name}.parquet"
-        assert (tmp_path / "each" / file).read_bytes() == (tmp_path / "at once" / file).read_bytes()
 
 
 _HOLDER = """

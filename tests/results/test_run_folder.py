@@ -63,18 +63,6 @@ def test_csv_has_a_row_for_every_frame_set(tmp_path):
     assert set(needed.split(",")) <= set(rows[0])
 
 
-def test_resumed_run_equals_an_uninterrupted_one(tmp_path):
-    folder = tmp_path / "run"
-    with RunWriter(folder, PROVENANCE, [BODY], CAMERAS) as writer:
-        for index in range(37):
-            writer.append(measurement(index, lost=index == 3))
-    assert not read_run(folder).finished
-    _write(folder, 50, resume=True)
-    _write(tmp_path / "whole", 50)
-    for file in {path.name for path in folder.iterdir()} - {"run.toml"}:
-        assert (folder / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
-
-
 def test_frame_numbers_in_microseconds_survive(tmp_path):
     frames = dict.fromkeys(("cam0", "cam1"), 1_700_000_000_123_456)
     with RunWriter(tmp_path / "run", PROVENANCE, [BODY], CAMERAS) as writer:

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import signal
-import subprocess
-import sys
-import textwrap
 from pathlib import Path
 
 import pyarrow as pa
@@ -37,46 +33,6 @@ def test_times_from_1970_keep_their_nanoseconds(folder: Path) -> None:
     assert read_run(folder).times_s[0] == 1_700_000_000.123456
 
 
-_KILLED = """
-    import os, signal, sys, time
-    from pathlib import Path
-    from measure.results import RunWriter
-    from tests.results.conftest import BODY, CAMERAS, made_from, measurement
-    writer = RunWriter(Path(sys.argv[1]), made_from(), [BODY], CAMERAS).__enter__()
-    started = time.monotonic()
-    late = None
-    for i in range(10_000):
-        writer.append(measurement(i))
-        now = time.monotonic() - started
-        if late is None and now > 0.8:
-            late = i
-        if now > 1.8:
-            print(late, i + 1, flush=True)
-            os.kill(os.getpid(), signal.SIGKILL)
-        time.sleep(0.01)
-"""
-
-
-def test_a_kill_costs_at_most_the_last_second(folder: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(_KILLED), str(folder)],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parents[2],
-        check=False,
-    )
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    second_before, count = map(int, done.stdout.split())
-    assert not read_run(folder).finished
-    assert not (folder / "summary.json").exists()
-    assert len((folder / "poses.csv").read_text().splitlines()) == count + 1
-    kept = frames_of(folder)
-    assert kept == list(range(len(kept)))
-    assert len(kept) >= second_before
-    assert go_on(folder, count + 5) == len(kept)
-    check_whole(folder, count + 5)
-
-
 @pytest.mark.parametrize("cut", [1, 7, 40, 300])
 @pytest.mark.parametrize("torn", [("detections", "balls", "poses"), ("poses",), ("detections",)])
 def test_a_torn_batch_is_dropped(folder: Path, torn: tuple[str, ...], cut: int) -> None:
@@ -92,29 +48,6 @@ def test_a_torn_batch_is_dropped(folder: Path, torn: tuple[str, ...], cut: int) 
         assert frames_of(folder) == [0, 1]
         assert go_on(folder, 3) == 2
         check_whole(folder, 3)
-
-
-def test_an_interrupt_keeps_everything(folder: Path) -> None:
-    def interrupted() -> None:
-        with open_writer(folder) as writer:
-            for i in range(5):
-                writer.append(measurement(i))
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert frames_of(folder) == list(range(5))
-    assert not read_run(folder).finished
-    assert go_on(folder, 8) == 5
-    check_whole(folder, 8)
-
-
-def test_a_finished_run_can_be_gone_on_with(folder: Path) -> None:
-    with open_writer(folder) as writer:
-        writer.finish()
-    assert go_on(folder, 4) == 0
-    assert go_on(folder, 6) == 4
-    check_whole(folder, 6)
 
 
 def test_overwriting_removes_the_run_and_nothing_else(folder: Path) -> None:

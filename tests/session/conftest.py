@@ -50,10 +50,6 @@ class Recording:
         rows = "".join(f"{f},{t}\n" for f, t in zip(frames, times, strict=True))
         (self.path / f"{camera}.csv").write_text("frame,time_s\n" + rows)
 
-    def line_of(self, file: str, text: str) -> int:
-        lines = (self.path / file).read_text().splitlines()
-        return next(i for i, line in enumerate(lines, start=1) if text in line)
-
 
 def jpeg(level: int, size_wh: tuple[int, int] = SIZE_WH) -> bytes:
     """A picture whose grey level tells which frame it is."""

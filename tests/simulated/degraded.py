@@ -33,12 +33,6 @@ def upside_down(scene: Scene, camera: str) -> Scene:
     return _displaced(scene, camera, np.array([0, 0, 0, 0, 0, np.pi]), "upside-down")
 
 
-def moved_camera(scene: Scene, camera: str, angle_deg: float = 0.5) -> Scene:
-    """One camera has been turned sideways since it was calibrated."""
-    turn = np.array([0, 0, 0, 0, np.deg2rad(angle_deg), 0])
-    return _displaced(scene, camera, turn, "moved")
-
-
 def swapped_calibrations(scene: Scene, first: str, second: str) -> Scene:
     """The calibration file gives each of two cameras the other's values."""
     a, b = scene.camera(first), scene.camera(second)

@@ -80,11 +80,3 @@ def wall_colours(places, directions):
     local = np.einsum("nij,ni->nj", local, hits)
     edge = np.abs(local[:, 1:] / 90.0 - np.rint(local[:, 1:] / 90.0)).min(axis=1) * 90.0
     return chequered(local), edge
-
-
-def nearest_ball(places, directions, center, radius):
-    """Distances (n,) at which rays meet a ball; inf where they pass it."""
-    to = center - places
-    along = np.sum(to * directions, axis=1)
-    inside = radius**2 - np.sum(to * to, axis=1) + along**2
-    return np.where((inside > 0) & (along > 0), along - np.sqrt(np.maximum(inside, 0)), np.inf)

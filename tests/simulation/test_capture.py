@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import tomllib
 from dataclasses import replace
 
@@ -11,11 +10,10 @@ import numpy as np
 import pytest
 
 from measure.geometry import RigidTransform
-from measure.session import read_calibration
 from measure.simulation import CameraSensor, Renderer
 from measure.simulation.canvas import reduced
 from tests.simulated.boards import Chessboard, charuco
-from tests.simulated.capture import CaptureScene, paper_markers, write_capture
+from tests.simulated.capture import CaptureScene, write_capture
 from tests.simulation.test_renderer import FLAT_LIGHT, small_camera, white_scene
 
 
@@ -76,32 +74,6 @@ def test_dots_are_where_the_truth_says(captured) -> None:
         rows, columns = np.mgrid[-10:11, -10:11]
         centroid = np.array([np.sum(columns * weights), np.sum(rows * weights)]) / weights.sum()
         assert np.abs(centroid - (mark - (u, v))).max() < 0.8, name
-
-
-def test_marks_carry_the_stated_noise() -> None:
-    scene = small_capture(mark_sd_px=0.3)
-    camera = scene.cameras[2]
-    exact = replace(scene, mark_sd_px=0.0).marks(camera)
-    off = [scene.marks(camera, s)[n] - exact[n] for s in range(60) for n in exact]
-    assert np.std(off) == pytest.approx(0.3, rel=0.06)
-    assert 10 <= len(exact) <= 16
-
-
-def test_marker_tolerance_moves_the_dots_not_the_file(tmp_path) -> None:
-    scene = small_capture(marker_sd_mm=0.1)
-    write_capture(scene, tmp_path, pictures=False)
-    rows = list(csv.DictReader((tmp_path / "markers.csv").read_text().splitlines()))
-    stated = np.array([[float(r[k]) for k in ("x_mm", "y_mm", "z_mm")] for r in rows])
-    assert np.array_equal(stated, np.stack(list(paper_markers().values())))
-    moved = np.stack(list(scene.true_markers().values())) - stated
-    assert 0.05 < moved.std() < 0.15
-
-
-def test_truth_reads_back(captured) -> None:
-    scene, folder = captured
-    read = read_calibration(folder / "truth_calibration.toml").cameras
-    for a, b in zip(read, scene.cameras, strict=True):
-        assert np.allclose(a.world_from_camera.matrix, b.world_from_camera.matrix, atol=1e-12)
 
 
 def board_scene(board, pose: RigidTransform) -> Renderer:

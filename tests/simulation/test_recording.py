@@ -9,19 +9,10 @@ import numpy as np
 import pytest
 
 from measure.session import Calibration, open_session, read_calibration, write_calibration
-from measure.simulation import CameraSensor, write_session
-from measure.simulation.catalogue import plain_scene
+from measure.simulation import write_session
 from measure.simulation.renderer import Renderer
 from measure.simulation.scene import Scene
 from tests.simulated.catalogue import async_scene, scene_catalogue
-from tests.simulated.degraded import (
-    misstated_body,
-    moved_camera,
-    swapped_calibrations,
-    upside_down,
-    with_balls,
-    without_balls,
-)
 
 
 def small(scene: Scene) -> Scene:
@@ -82,49 +73,6 @@ def test_truth_interpolates_to_the_exact_pose(recorded) -> None:
     near = np.abs(rows[:, :1] - times).argmin(axis=0)
     at_rows = scene.trajectory.at(rows[near, 0])
     assert np.abs(at_rows.quat_wxyz - rows[near, 4:]).max() < 1e-8
-
-
-def test_catalogue_varies_and_every_scene_renders() -> None:
-    scenes = scene_catalogue()
-    assert {"still", "occluded", "clutter", "async", "matt", "four-balls"} <= set(scenes)
-    for scene in scenes.values():
-        little = small(scene)
-        views = [Renderer(little, c.name).picture(0.5) for c in little.cameras]
-        assert {view.shape for view in views} == {(180, 320, 3)}
-        # The balls are there: pixels of every ball's colour.
-        for ball in scene.body.balls:
-            assert sum(np.count_nonzero(ball.color.mask(v)) for v in views) > 100, ball.name
-
-
-def test_degraded_scenes_hide_what_they_should(tmp_path) -> None:
-    scene = replace(small(plain_scene()), sensor=CameraSensor(blur_px=0.0))
-    masks = {b.name: b.color for b in scene.body.balls}
-
-    def count(of: Scene, ball: str) -> int:
-        return int(np.count_nonzero(masks[ball].mask(Renderer(of, "cam0").picture(0.0))))
-
-    assert count(scene, "green") > 50
-    assert count(without_balls(scene), "green") == 0
-    only = with_balls(scene, "red")
-    assert count(only, "green") == 0
-    assert count(only, "red") > 50
-
-
-def test_degraded_calibrations_are_stated_not_true(tmp_path) -> None:
-    scene = small(plain_scene())
-    turned = upside_down(scene, "cam1")
-    point = np.array([[10.0, 5.0, 255.0]])
-    true, stated = turned.camera("cam1"), turned.stated_cameras[1]
-    centre = true.intrinsics.matrix[:2, 2]
-    assert np.abs((true.project(point) + stated.project(point)) / 2 - centre).max() < 0.1
-    swapped = swapped_calibrations(scene, "cam0", "cam2")
-    assert np.array_equal(swapped.stated_cameras[0].center, scene.cameras[2].center)
-    moved = moved_camera(scene, "cam0", 0.5)
-    shift = moved.camera("cam0").project(point) - scene.camera("cam0").project(point)
-    assert np.linalg.norm(shift) == pytest.approx(np.tan(np.deg2rad(0.5)) * 355, rel=0.1)
-    wrong = misstated_body(scene, {"green": (33.0, 0.0, 0.0)})
-    write_session(wrong, [0.0], tmp_path)
-    assert open_session(tmp_path).body.centers[0, 0] == 33.0
 
 
 @pytest.mark.parametrize("name", scene_catalogue())

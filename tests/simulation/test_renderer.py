@@ -19,7 +19,6 @@ from measure.simulation import (
     Still,
     render,
 )
-from measure.simulation.caster import spread
 from measure.simulation.catalogue import PLASTIC, look_at, plain_lighting
 
 FLAT_LIGHT = Lighting((), (1.0, 1.0, 1.0), below=1.0)
@@ -74,29 +73,6 @@ def test_silhouette_is_the_tangent_cone(position) -> None:
     assert abs(error.mean()) < 0.0015
 
 
-@pytest.mark.parametrize("count", [1, 2, 16, 29, 34, 64, 89])
-def test_samples_are_centred_and_all_different(count) -> None:
-    offsets = spread(count)
-    assert offsets.shape == (count, 2)
-    assert np.abs(offsets.mean(axis=0)).max() < 1e-12
-    assert np.abs(offsets).max() < 0.5
-    assert all(len(np.unique(offsets[:, k])) == count for k in range(2))
-
-
-def test_no_pixel_of_the_outline_is_missed() -> None:
-    scene = white_scene()
-    camera = scene.cameras[0]
-    picture = Renderer(scene, "cam0").radiance(0.0)[..., 0].ravel()
-    rows, columns = np.mgrid[0:240, 0:320]
-    pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
-    cone = tangent_cone(camera.camera_from_world.apply((0.0, 0.0, 250.0)), 20.0)
-    gap = cone.residuals(camera.intrinsics.unproject(pixels)) * camera.intrinsics.focal_px
-    crossed = np.abs(gap) < 1.2
-    exact = exact_coverage(camera, (0.0, 0.0, 250.0), pixels[crossed], 24)
-    assert np.abs(picture[crossed] - exact).max() < 0.06
-    assert np.array_equal(picture[~crossed], (gap[~crossed] < 0).astype(np.float32))
-
-
 def test_centroid_of_a_ball_is_the_centroid_of_its_outline() -> None:
     scene = white_scene((30.0, -20.0, 260.0))
     camera = scene.cameras[0]
@@ -123,15 +99,6 @@ def test_nearer_ball_hides_the_farther_one() -> None:
     assert np.array_equal(both[inside], alone[inside])
     ring = (both > 0.4) & (alone == 0)
     assert not ring.any(), "a ball of one size farther off on the same ray is hidden altogether"
-
-
-def test_moving_and_standing_balls_are_drawn_alike() -> None:
-    ball = white_scene().fixed[0]
-    still = white_scene(sensor=CameraSensor())
-    from measure.simulation import Actor
-
-    moving = replace(still, fixed=(), actors=(Actor((ball,), still.trajectory),))
-    assert np.array_equal(render(still, "cam0", 0.0), render(moving, "cam0", 0.0))
 
 
 def test_pictures_repeat_with_the_seed_and_differ_between_frames() -> None:

@@ -7,9 +7,6 @@ import re
 import socket
 import struct
 import time
-from contextlib import suppress
-from importlib.resources import files
-from pathlib import Path
 
 import cv2
 import foxglove.messages
@@ -138,13 +135,6 @@ def test_one_rule_names_bodies_wherever_names_are_restricted():
     assert words["pointer tool"] == "pointer_tool"
 
 
-def test_foxglove_topics_hold_no_blanks_and_differ():
-    sink = build("foxglove://127.0.0.1:8765", run_of(*HOSTILE, reference="tool-1"))
-    topics = [sink._topic(*stream) for stream in sink.run.streams]
-    assert len(set(topics)) == len(topics)
-    assert all(re.fullmatch("(/[A-Za-z][A-Za-z0-9_]*){1,2}", topic) for topic in topics)
-
-
 def test_an_address_that_is_none_says_what_is_expected():
     registry, run = Registry.discover(), run_of("tool")
     for given, words in (
@@ -165,12 +155,6 @@ def test_an_address_that_is_none_says_what_is_expected():
 ])  # fmt: skip
 def test_a_server_has_a_usual_place(given, place):
     assert build(f"igtl://{given}", run_of("tool"))._place == place
-
-
-def test_igtl_tells_the_name_where_poses_are_sent():
-    lines, run = list[str](), run_of("raven three-ball body")
-    open_sending(SendOptions((address("igtl"),), note=lines.append), Registry.discover(), run)
-    assert lines[0].endswith("raven three-ball body is sent as RavenThreeBToTracker")
 
 
 def test_a_receiver_that_stops_reading_loses_its_own_poses_only():
@@ -308,31 +292,6 @@ def test_foxglove_shows_transforms_and_small_pictures():
         ).encode()
     )
     assert b"stimulus" in heard["/marks"]
-
-
-@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="open files are not listed here")
-def test_foxglove_sends_every_message_at_once():
-    """Nagle's algorithm, which waits for 40 ms, is off at its end of a connection."""
-    where, waits = address("foxglove"), []
-    sink = build(where, run_of("tool"))
-    sink.open()
-    with connect(f"ws:{where.partition(':')[2]}", subprotocols=["foxglove.sdk.v1"]) as client:
-        client.recv(timeout=5.0)
-        for file in Path("/dev/fd").iterdir():
-            with suppress(OSError), socket.fromfd(int(file.name), socket.AF_INET, 1) as one:
-                if one.getpeername() == client.socket.getsockname():
-                    waits.append(not one.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
-    sink.close()
-    assert waits == [False]
-
-
-def test_the_layout_for_foxglove_shows_what_is_sent():
-    text = (files("measure_sinks") / "foxglove_layout.json").read_text("utf-8")
-    layout = json.loads(text)
-    shown = re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))
-    assert sorted(shown) == sorted(layout["configById"])
-    topics = set(re.findall(r'"(/[\w/]+)', text))
-    assert topics == {"/tool", "/cam0/image", "/marks"}
 
 
 def test_zenoh_messages_are_those_of_ros():

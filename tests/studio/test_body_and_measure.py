@@ -100,7 +100,7 @@ def test_state_is_large_and_nothing_looks_live_after_stop(still, tmp_path):
         press(page, "measure$")
         page.wait_for(f"{STATE} == 'OK' || {STATE} == 'DOUBTFUL'", 150)
         assert page.evaluate("!document.querySelector('.poses.old')")
-        page.idle(8.0)
+        page.idle(2.0)
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         assert not page.evaluate("!!document.querySelector('a[href$=\"report.html\"]')")
         press(page, "stop")

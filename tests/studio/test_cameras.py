@@ -13,7 +13,7 @@ from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium, find_chromium
 from tests.faults.cameras import FAULTS
 from tests.faults.hostile_camera import HostileCamera, hostile
-from tests.studio.desk import choose, fill, go, mouse, press, strike, studio
+from tests.studio.desk import fill, go, press, strike, studio
 
 pytestmark = [
     pytest.mark.browser,
@@ -63,7 +63,6 @@ def test_a_typo_is_no_camera_and_people_name_cameras(rng, tmp_path):
         go(page, url)
         for typo, refusal in (
             ("http://127.0.0.1:1/x", "cam0 was not added: "),
-            ("../käm=" + address, "was not added"),
             ("x" * 300 + "=" + address, "a camera's name"),
         ):
             fill(page, "Camera", typo)
@@ -71,20 +70,20 @@ def test_a_typo_is_no_camera_and_people_name_cameras(rng, tmp_path):
             page.wait_for(said.format(refusal), 20)
             assert page.evaluate(cameras.format(0))
             assert known.read_text("utf-8") == ""
-        for name in ("käm links", "右カメラ", "k" * 200):
+        for name in ("käm links", "k" * 200):
             fill(page, "Camera", f"{name}={address}")
             strike(page, "Enter", "\r")
             page.wait_for(said.format(name), 20)
         kept = known.read_text("utf-8")
-        assert kept == "".join(f"{n}={address}\n" for n in ("käm links", "右カメラ", "k" * 200))
+        assert kept == "".join(f"{n}={address}\n" for n in ("käm links", "k" * 200))
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         page.evaluate("document.querySelector('[aria-label=\"remove käm links\"]').click()")
         press(page, "keep it")
         page.idle(0.6)
-        assert page.evaluate(cameras.format(3))
+        assert page.evaluate(cameras.format(2))
         page.evaluate("document.querySelector('[aria-label=\"remove käm links\"]').click()")
         press(page, "take it away")
-        page.wait_for(cameras.format(2), 20)
+        page.wait_for(cameras.format(1), 20)
         assert "käm" not in known.read_text("utf-8")
         press(page, "find cameras of")
         page.wait_for(said.format("at this computer"), 20)
@@ -101,20 +100,3 @@ def test_what_cannot_be_served_is_refused_in_one_line(tmp_path, capsys):
     command = ["studio", str(tmp_path / "desk"), f"cam0={outside}", "--port", "0", "--no-browser"]
     assert main(command) == 2
     assert "lies outside" in capsys.readouterr().err
-
-
-def test_a_menu_that_is_left_hidden_is_placed_below_its_field(tmp_path):
-    """As on a computer so busy that the menu has no size yet when it is to be placed."""
-    menu = "document.querySelector('.q-menu')"
-    box = "document.querySelector('.q-select').getBoundingClientRect()"
-    with studio(tmp_path / "desk") as address, Chromium(1440, 900) as page:
-        go(page, address + "calibration")
-        choose(page, "Board", "chessboard_9x6_25")
-        page.wait_for(f"!{menu}", 20)
-        where = page.evaluate(f"[{box}.left + {box}.width / 2, {box}.top + {box}.height / 2]")
-        mouse(page, *where)
-        page.wait_for(f"{menu}?.style.visibility == 'visible'", 20)
-        page.evaluate(f"{menu}.style.cssText = ''")
-        page.wait_for(f"{menu}.style.visibility == 'visible'", 20)
-        assert page.evaluate(f"Math.abs({menu}.getBoundingClientRect().top - {box}.bottom) < 40")
-        assert "charuco_8x5_27" in page.evaluate(f"{menu}.innerText")

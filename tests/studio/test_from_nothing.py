@@ -1,4 +1,4 @@
-"""In a browser: from an empty folder to believed poses, through every step, with both boards."""
+"""In a browser: from an empty folder to believed poses, through every step."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ import re
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from measure.calibration import Charuco, Chessboard
 from measure.geometry import RigidTransform
 from measure.results import read_run
 from measure.session import read_body, read_calibration
@@ -27,7 +25,6 @@ from tests.studio import waved
 from tests.studio.desk import (
     FOOT,
     ONE_PRIMARY,
-    choose,
     count,
     fill,
     go,
@@ -54,36 +51,21 @@ MOST_PRESSES, MOST_TYPED, MOST_WAITING_S = 12, 60, 240.0
 PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "set_up_in_the_browser.md"
 
 
-@dataclass(frozen=True)
-class Waved:
+class CHARUCO:
     """A board that is waved, at instants that fill all parts of both pictures, near and far."""
 
-    name: str
-    board: Callable[[], Charuco | Chessboard]
-    poses_s: tuple[float, ...]
+    POSES_S = (20.8, 170.0, 144.8, 138.4, 9.2, 73.2, 6.4, 14.8, 30.0, 41.0, 52.0, 60.0)
 
-    def poses(self):
+    @classmethod
+    def poses(cls):
         """world_from_board, each pose twice: out of step, cameras take the second."""
-        return [waved.waved(t, self.board()) for t in np.repeat(self.poses_s, 2)]
+        return [waved.waved(t) for t in np.repeat(cls.POSES_S, 2)]
 
-    def pictures(self, rng, rig):
+    @classmethod
+    def pictures(cls, rng, rig):
         """What cameras see of them."""
-        return {
-            c.name: [jpeg(waved.picture(c, p, rng, self.board())) for p in self.poses()]
-            for c in rig
-        }
-
-
-CHARUCO = Waved(
-    waved.TARGET,
-    waved.board,
-    (20.8, 170.0, 144.8, 138.4, 9.2, 73.2, 6.4, 14.8, 30.0, 41.0, 52.0, 60.0),
-)
-PLAIN = Waved(
-    waved.PLAIN,
-    waved.plain_board,
-    (174.4, 296.2, 383.8, 46.4, 97.0, 230.4, 3.2, 335.8, 136.0, 263.2, 202.4),
-)
+        seen = {camera.name: (waved.picture(camera, p, rng) for p in cls.poses()) for camera in rig}
+        return {name: list(map(jpeg, pictures)) for name, pictures in seen.items()}
 
 
 def cameras():
@@ -113,10 +95,9 @@ def at_rest(picture, rng):
     return [jpeg(np.clip(np.rint(one), 0, 255).astype(np.uint8)) for one in noisy]
 
 
-@pytest.mark.parametrize("kind", [CHARUCO, PLAIN], ids=["charuco", "chessboard"])
-def test_from_an_empty_folder_to_believed_poses(kind, tmp_path, rng):
+def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
     desk, balls = tmp_path / "desk", ball_pictures(tmp_path / "balls")
-    boards = kind.pictures(rng, waved.rig())
+    boards = CHARUCO.pictures(rng, waved.rig())
     served = {n: ServedCamera(some, PERIOD_S, stamps=True) for n, some in boards.items()}
     with serving(served) as addresses, studio(desk) as address, Chromium(1440, 900) as page:
         waits = Waits()
@@ -124,7 +105,7 @@ def test_from_an_empty_folder_to_believed_poses(kind, tmp_path, rng):
         page.wait_for(ONE_PRIMARY, 20)
         add_cameras(page, addresses)
         go_on(page, "Calibration")
-        wave_the_board(page, kind, waits)
+        wave_the_board(page, waits)
         serve(served, {n: at_rest(some[0], rng) for n, some in boards.items()})
         check_pair(desk, 1.5, 0.3)
         go_on(page, "World")
@@ -136,12 +117,12 @@ def test_from_an_empty_folder_to_believed_poses(kind, tmp_path, rng):
         serve(served, {n: at_rest(some[0], rng) for n, some in balls.items()}, AT_REST_S)
         go_on(page, "Measure")
         measure(page, waits)
-        check_steps(page, kind, waits)
+        check_steps(page, waits)
         mark_an_event(page)
         assert page.errors == []
         assert [r for r in page.requests if not r.startswith((address, "blob:", "data:"))] == []
         check_served_files(address)
-    check_run(desk, addresses, kind)
+    check_run(desk, addresses)
 
 
 class Waits(dict[str, float]):
@@ -174,10 +155,8 @@ def add_cameras(page, addresses):
     page.wait_for(is_done("Cameras"), 20)
 
 
-def wave_the_board(page, kind, waits):
+def wave_the_board(page, waits):
     """Advice comes till nothing is missing; then the cameras are calibrated without a click."""
-    if kind is not CHARUCO:  # which is offered first
-        choose(page, "Board", kind.name)
     press(page, "wave the board")
     page.wait_for(f"/cam/.test({ADVICE})", 30)
     page.wait_for("document.querySelectorAll('.over circle.corner').length > 6", 30)
@@ -226,17 +205,15 @@ def mark_an_event(page):
     assert page.evaluate("document.querySelector('[data-help]').hash") == "#measure"
 
 
-def check_steps(page, kind, waits):
+def check_steps(page, waits):
     """The tables in the docs are of the steps that were made here, and of the commands there."""
     titles = ("Cameras", "Calibration", "World", "Body", "Measure")
     made = {title: [page.steps[title, kind] for kind in ("clicks", "typed")] for title in titles}
     made["in all"] = [sum(row) for row in zip(*made.values(), strict=True)]
-    print(kind.name, made["in all"], {what: f"{s:.0f} s" for what, s in waits.items()})
+    print(made["in all"], {what: f"{s:.0f} s" for what, s in waits.items()})
     assert made["in all"][0] <= MOST_PRESSES
     assert made["in all"][1] <= MOST_TYPED
     assert sum(waits.values()) < MOST_WAITING_S
-    if kind is not CHARUCO:
-        return
     text = PAGE.read_text("utf-8")
     (commands,) = re.findall(r"<!-- all by commands -->\n```text\n(.*?)```", text, re.S)
     rows = re.findall(r"^\| (.+?) \| (\d+) \| (\d+) \|$", text, re.M)
@@ -269,7 +246,7 @@ def check_served_files(address):
             urllib.request.urlopen(f"{address}file/{elsewhere}")
 
 
-def check_run(desk, addresses, kind):
+def check_run(desk, addresses):
     """The balls rest where they are in the board's frame, whose z points out of the paper."""
     assert (desk / "cameras.txt").read_text() == "".join(f"{n}={a}\n" for n, a in addresses.items())
     run = read_run(desk / "run-1")
@@ -282,7 +259,7 @@ def check_run(desk, addresses, kind):
     assert len(poses.translation) >= 2
     scene, body = webcam_scene(), read_body(desk / "body-1.toml")
     up = RigidTransform(np.diag([1.0, -1, -1]), np.zeros(3))
-    world = RigidTransform(np.eye(3), WORKSPACE_MM) @ kind.poses()[0] @ up
+    world = RigidTransform(np.eye(3), WORKSPACE_MM) @ CHARUCO.poses()[0] @ up
     resting = scene.trajectory.at(np.zeros(1))
     for name in scene.body.names:
         true = resting.apply(scene.body.centers[scene.body.index(name)][None])

@@ -45,43 +45,6 @@ def recorded(tmp_path_factory):
     return _record(tmp_path_factory.mktemp("rrd") / "run.rrd", 130, lost={7})
 
 
-def test_every_entity_stands_on_both_timelines(recorded):
-    expected = {
-        entities.BODY,
-        entities.TRAIL,
-        entities.UNCERTAINTY,
-        entities.POSITION_SD,
-        entities.ROTATION_ERROR,
-        entities.EFFECTIVE_CAMERAS,
-        *(entities.error(axis) for axis in entities.ERROR_AXES),
-        *(make(axis) for axis in "xyz" for make in (entities.position, entities.rotation)),
-        *(entities.ball(name) for name in BODY.names),
-        *(entities.rays(name) for name in BODY.names),
-        *(entities.distance(*pair) for pair in BODY.distances()),
-        *(make(c.name) for c in CAMERAS for make in (entities.centers, entities.residual)),
-    }
-    assert expected <= set(recorded)
-    for entity in expected:
-        frames = {
-            f for b in recorded[entity] if "frame" in b.schema.names for f in b["frame"].to_pylist()
-        }
-        assert len(frames) >= 129, entity
-        assert any("time" in b.schema.names for b in recorded[entity])
-
-
-def test_position_and_rotation_traces_are_those_of_the_poses(recorded):
-    for axis, place in zip("xyz", measurement(60).pose.world_from_body.translation, strict=True):
-        trace = column(recorded[entities.position(axis)], "Scalars:scalars")
-        assert trace[60] == [pytest.approx(place)]
-        assert np.isnan(trace[7])
-    begun, now = (measurement(index).pose.world_from_body for index in (0, 60))
-    turned = np.degrees((now @ begun.inverse()).rotvec)
-    for axis, angle in zip("xyz", turned, strict=True):
-        trace = column(recorded[entities.rotation(axis)], "Scalars:scalars")
-        assert trace[60] == [pytest.approx(angle, abs=1e-9)]
-        assert trace[0] == [0.0]
-
-
 @pytest.mark.parametrize("truth", [True, False])
 def test_the_first_plot_shows_errors_only_where_there_is_a_truth(truth):
     layout = run_blueprint(CAMERAS, truth=truth).root_container
@@ -226,13 +189,6 @@ def test_somebody_who_watches_sees_each_frame_set_soon(tmp_path, monkeypatch):
     assert sent == [1, 1, 1, 3]
 
 
-def test_size_without_images(tmp_path, monkeypatch):
-    """Also of a run so slow that everything is sent as soon as it may be."""
-    monkeypatch.setattr(recording, "PERIOD_S", 0.0)
-    _record(tmp_path / "run.rrd", 300)
-    assert (tmp_path / "run.rrd").stat().st_size < 1_000_000
-
-
 @pytest.mark.parametrize(
     ("address", "said"),
     [
@@ -258,19 +214,6 @@ def test_run_without_poses_still_has_a_recording(tmp_path):
     shown = column(stored[entities.ball("red")], "Ellipsoids3D:centers")
     assert len(shown) == 20
     assert not any(shown.values())
-
-
-@pytest.mark.slow
-def test_ten_thousand_frame_sets_are_all_there(tmp_path):
-    path = tmp_path / "run.rrd"
-    lost = set(range(4000, 4100))
-    stored = _record(path, 10_000, lost)
-    error = column(stored[entities.error("x")], "Scalars:scalars")
-    assert list(error) == list(range(10_000))
-    assert {k for k, value in error.items() if np.isnan(value[0])} == lost
-    said = column(stored[entities.STATUS], "TextLog:text")
-    assert said == {0: ["ok"], 4000: ["lost: nothing seen"], 4100: ["ok"]}
-    assert path.stat().st_size < 20_000_000
 
 
 @pytest.mark.parametrize(("begins_s", "kind"), [(0.0, "duration"), (1.7e9, "timestamp")])
