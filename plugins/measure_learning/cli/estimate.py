@@ -39,7 +39,7 @@ class _ServerOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Measured:
+class _MeasuredOptions:
     """What was measured beside the states.
 
     Attributes:
@@ -61,7 +61,7 @@ def estimate(
     out: Annotated[OutFile | None, Parameter(name=("--out", "-o", "--output"))] = None,
     overwrite: Overwrite = False,
     rezero: Path | None = None,
-    measured: _Measured = _Measured(),
+    measured: _MeasuredOptions = _MeasuredOptions(),
     server: _ServerOptions = _ServerOptions(),
     json: JsonFlag = False,
 ) -> None:
