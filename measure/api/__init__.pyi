@@ -39,7 +39,7 @@ from measure.api.measuring import measure_bodies, measure_session
 from measure.api.outputs import new_folder, output
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.refining import BodySearch, FoundBody, RefineResult, find_body, refine
-from measure.api.results import body_names, evaluate, export, report
+from measure.api.results import body_names, evaluate, export
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.spreading import Workers
 from measure.api.stretches import run_in_stretches
@@ -68,7 +68,7 @@ __all__ = [
     "evaluation_tables", "events", "export", "find_body", "find_target", "inside", "learnt_colors",
     "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "next_free",
     "output", "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
-    "read_body", "read_calibration", "refine", "relative_measurements", "render_demo", "report",
-    "run", "run_in_stretches", "run_many", "sampled_color", "shipped_targets", "sync",
-    "target_sheet", "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
+    "read_body", "read_calibration", "refine", "relative_measurements", "render_demo", "run",
+    "run_in_stretches", "run_many", "sampled_color", "shipped_targets", "sync", "target_sheet",
+    "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

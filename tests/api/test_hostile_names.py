@@ -222,7 +222,7 @@ WRITES: dict[str, Callable[[Place], Any]] = {
     "pivot": lambda p: lab.pivot(p.run),
     "record": _record,
     "refine": lambda p: api.refine(p.session, Registry.discover()),
-    "report": lambda p: api.report(p.run, p.out / "report.html"),
+    "report": lambda p: lab.report(p.run, p.out / "report.html"),
     "robot_recording": lambda p: learning_api.robot_recording(
         p.run, "raven2", p.session / "cam1.csv"
     ),

@@ -389,7 +389,9 @@ def test_completion_is_installed_where_the_shell_looks(tmp_path, monkeypatch, ca
 def test_a_live_line_says_how_many_cameras_are_there(monkeypatch, capsys):
     monkeypatch.setattr("measure_studio.cli.live._LINE_EVERY_S", 0.0)
     cameras = dict.fromkeys(("cam0", "cam1", "cam2"))
-    state = SimpleNamespace(latest=(), cameras=cameras, away=("cam1",), rate_hz=30.0, age_s=0.02)
+    state = SimpleNamespace(
+        latest=(), cameras=cameras, away=("cam1",), rate_hz=30.0, age_s=0.02, causes=()
+    )
     _StateLines()(state)
     told = "2 of 3 cameras (cam1 away); 30.0 frame sets per s, known after 20 ms\n"
     assert capsys.readouterr().err == told

@@ -6,7 +6,6 @@ import cv2
 
 import measure.calibration
 import measure.checking
-import measure.viewing.report.run_report
 from measure.api import load_profile
 from measure.api.warming_up import warm_pipeline
 from measure.cli import main

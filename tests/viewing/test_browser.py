@@ -16,7 +16,7 @@ from measurements import BODY, CAMERAS, measurement
 
 from measure.results import Provenance, RunWriter, read_run
 from measure.viewing.recording import RunRecording, open_recording
-from measure.viewing.report.run_report import run_report
+from measure_lab.run_report import run_report
 from tests.chromium import Chromium, find_chromium
 
 pytestmark = [

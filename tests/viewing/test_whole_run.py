@@ -22,6 +22,7 @@ from measure.session import open_session, read_trajectory
 from measure.viewing import entities
 from measure.viewing.recording import RunRecording, open_recording
 from measure.viewing.viewer import viewer_program
+from measure_lab import api as lab
 from tests.viewing.reading import column, read_recording
 
 SETS = 10
@@ -117,7 +118,7 @@ def test_the_error_traces_are_those_of_the_evaluation(measured: Path, session: P
 
 
 def test_the_report_names_the_dark_camera(measured: Path):
-    page = api.report(measured).read_text("utf-8")
+    page = lab.report(measured).read_text("utf-8")
     assert f"3 of 4 cameras carry it ({DARK} never)" in page
     run = read_run(measured)
     rows = [r for r in run.detections.to_pylist() if r["camera"] == DARK]

@@ -115,7 +115,7 @@ class _Live:
                     options=made,
                     on_state=self._hear,
                 ).summary
-            self.session, self.report = options.record, api.report(run)
+            self.session, self.report = options.record, lab.report(run)
             return f"{run.name}: {summary.frame_sets} frame sets, {summary.ok} of them believed"
 
         bench.begin(f"measuring {run.name}", work, needs_cameras=True)

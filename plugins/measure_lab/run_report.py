@@ -18,14 +18,14 @@ from measure.arrays import Floats, Ints
 from measure.geometry import RigidTransform
 from measure.metrology.noise import Noise
 from measure.results import Run, Summary
-from measure.results.accuracy import accuracy_map
 from measure.results.pose_table import noise_about, noise_at_rest, poses_of
 from measure.results.summary import WHICH_ACCURACY
 from measure.results.tables import texts
 from measure.session import dump_toml
 from measure.viewing.report import figures, places
 from measure.viewing.report.page import Page
-from measure.viewing.report.verdict import verdict
+from measure_lab.accuracy import accuracy_map
+from measure_lab.verdict import verdict
 
 
 def run_report(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from measure import api
 from measure.cli import console
 from measure.cli.console import OutFile, Overwrite
+from measure_lab import api
 
 
 def report(

@@ -14,17 +14,17 @@ import pytest
 from measurements import BODY, CAMERAS, measurement
 
 from measure.api.profiles import load_profile
-from measure.api.results import report
 from measure.api.run import resolved
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Status
 from measure.results import Provenance, RunWriter, read_run
-from measure.results.accuracy import accuracy_map
 from measure.session import read_body
 from measure.viewing.report import figures
-from measure.viewing.report.run_report import run_report
-from measure.viewing.report.verdict import verdict
+from measure_lab.accuracy import accuracy_map
+from measure_lab.api import report
+from measure_lab.run_report import run_report
+from measure_lab.verdict import verdict
 from measure_learning.core.frames import RobotFrame, write_frame
 
 PROVENANCE = Provenance("/data/s", "a", "calibration.toml", "b", "c", {"name": "precise"}, {})
