@@ -16,7 +16,7 @@ from pathlib import Path
 
 BOUNDS = {
     "code": 50_500,
-    "core": 26_700,  # 26,000 is wanted
+    "core": 26_300,  # 26,000 is wanted
     "kernels": 225,  # 150 is wanted
     "constants": 1_200,  # numbers that are named in modules; 650 is wanted
     "lines of a file": 410,  # 400 is wanted
