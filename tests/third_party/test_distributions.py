@@ -84,7 +84,7 @@ def test_plugins_pass_the_conformance_kit_in_their_own_tests(environment: Enviro
     own = [str(HERE / name / "tests" / f"test_{name}.py") for name in WHOLE]
     done = environment.run(*command, "-c", str(settings), "--noconftest", *own)
     assert done.returncode == 0, done.stdout
-    assert all(f"test_{name}.py::" in done.stdout for name in WHOLE)
+    assert all(f"::Test{name.title()}::" in done.stdout for name in WHOLE)
 
 
 @pytest.fixture(scope="module")
