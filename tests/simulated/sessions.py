@@ -6,6 +6,7 @@ import fcntl
 import hashlib
 import re
 import shutil
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -14,19 +15,21 @@ from types import FunctionType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from measure import simulation
+from measure import geometry, model, simulation
 from measure.simulation import Scene, write_session
 from tests.simulated.catalogue import scene_catalogue
 
 CACHE = Path(__file__).resolve().parents[2] / ".render_cache"
-_RENDERERS = (Path(simulation.__file__).parent, Path(__file__).parent)
+_ROOMS = [Path(room.__file__ or "").parent for room in (geometry, model, simulation)]
+_RENDERERS = (*_ROOMS, Path(__file__).parent)
 STILL_SETS, STILL_HZ = 12, 30.0
+_KEPT_S = 14 * 86400.0
 
 
 def rendered(scene: Scene, times_s: ArrayLike) -> Path:
     """The session of a scene, rendered by the first process that asks for it; read-only.
 
-    It is kept from run to run under a digest of the scene, the times and what renders them.
+    It is kept for two weeks under a digest of the scene, the times and what renders them.
     """
     sources = (file.read_bytes() for room in _RENDERERS for file in sorted(room.glob("*.py")))
     digest = hashlib.sha256(b"".join([*_parts((scene, np.asarray(times_s, float))), *sources]))
@@ -38,6 +41,9 @@ def rendered(scene: Scene, times_s: ArrayLike) -> Path:
         if not folder.exists():
             shutil.rmtree(place / "begun", ignore_errors=True)
             write_session(scene, times_s, place / "begun").rename(folder)
+            for old in CACHE.iterdir():
+                if time.time() - old.stat().st_mtime > _KEPT_S:
+                    shutil.rmtree(old, ignore_errors=True)
     return folder
 
 
