@@ -120,7 +120,7 @@ def of_a_real_arm(folder: Path) -> list[list[dict[str, list[float]]]]:
     for name in (n for n in known.names if f"{n}_end" in ends.names):
         one, end = known.select([name]), ends.select([f"{name}_end"])
         late = np.arange(len(one)) > 0.9 * len(one)
-        chosen = replace(one.rows(late), names=(f"{name}/late",))
+        chosen = replace(one.rows(late), names=tuple(f"{n}/late" for n in one.names))
         others = [n for n in known.names if n != name]
         judges = [n for n in ends.names if n != f"{name}_end"]
         unseen = known.select(others), ends.select(judges), one

@@ -96,7 +96,7 @@ ROWS = (
     Row(
         "stream",
         "--set grus=1 --set gru_units=64 --set gru_epochs=20 --set perceptrons=2 "
-        "--set perceptron_epochs=15 --set points=1000 --folds 2",
+        "--set perceptron_epochs=15 --set points=0 --folds 2",
     ),
 )
 

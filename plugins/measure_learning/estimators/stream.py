@@ -27,6 +27,7 @@ from measure_learning.estimators.gp import GpEstimator, GpSettings, Kernel
 
 N = TypeVar("N", _nets.Perceptrons, _nets.Grus)
 
+_LEAST_SHARE = 0.02  # weight of the process from which it is worth its time and size
 _PERCEPTRON_SHARE = 0.2  # time of a perceptron's epoch, as a share of a GRU's
 
 
@@ -66,13 +67,14 @@ class StreamEstimator(WithinTrajectoryEstimator):
 
     Joint errors go through the forward kinematics where the robot's chain is known. The nets are
     averaged, and the process joins them with the weight that leaves least of the validation
-    trajectories. The members' disagreement is part of the reported covariance.
+    trajectories, if that is worth it. The members' disagreement is part of the reported covariance.
     """
 
     name = "stream"
     Config = StreamSettings
     config: StreamSettings
     _known: Kernel | None = None  # of the process, where a fit to more has chosen it
+    _kernel: Kernel | None = None  # the one that this fit has
 
     def draft(self) -> host.Settings:
         """Fewer nets, for half as long: what recordings left out show changes by a few percent."""
@@ -88,7 +90,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
 
     def _twin(self) -> Self:
         twin = super()._twin()
-        twin._known = self._process.kernel if self._process else None  # noqa: SLF001 - its class
+        twin._known = self._kernel  # noqa: SLF001 - its class
         return twin
 
     def learn(
@@ -116,19 +118,19 @@ class StreamEstimator(WithinTrajectoryEstimator):
     def _fit_process(
         self, data: host.Dataset, validation: host.Dataset, seed: int
     ) -> GpEstimator | None:
-        """The process, and the weight with which it leaves least of the validation labels."""
+        """The process, if it has a weight with which least is left of the validation labels."""
         if not (points := self.config.points):
             return None
         process = GpEstimator(GpSettings(points=points, play_widths=self.config.play_widths))
         process.known = self._known
         process.learn(data, validation, seed=seed, report=host.quiet)
-        self._process, said = process, []
+        self._process, self._kernel, said = process, process.kernel, []
         for self._share in (0.0, 1.0):
             said.append(self.alone(validation)[validation.usable])
         left, apart = validation.errors_mm[validation.usable] - said[0], said[1] - said[0]
         share = float((apart * left).sum() / max(float((apart**2).sum()), 1e-12))
-        self._share = min(max(share, 0.0), 1.0)
-        return process
+        self._share = min(share, 1.0)
+        return process if share > _LEAST_SHARE else None
 
     def _fit_perceptrons(
         self, data: TrainingSet, seed: int, log: _CurveLog, report: host.Report
