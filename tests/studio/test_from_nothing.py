@@ -64,8 +64,7 @@ class CHARUCO:
     @classmethod
     def pictures(cls, rng, rig):
         """What cameras see of them."""
-        seen = {camera.name: (waved.picture(camera, p, rng) for p in cls.poses()) for camera in rig}
-        return {name: list(map(jpeg, pictures)) for name, pictures in seen.items()}
+        return {c.name: [jpeg(waved.picture(c, p, rng)) for p in cls.poses()] for c in rig}
 
 
 def cameras():
