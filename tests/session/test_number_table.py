@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-
 import numpy as np
 import pytest
 
@@ -102,13 +100,3 @@ def test_what_may_mean_two_things_is_refused(tmp_path, text, said):
     with pytest.raises(SessionError) as refused:
         read_stamps(tmp_path / "cam0.csv", "cam0")
     assert said in str(refused.value)
-
-
-@pytest.mark.parametrize("name", ["iso", "ros", "semi", "tabs", "utf16"])
-def test_stamps_of_other_programs(shared, tmp_path, name):
-    path = shared / "inputs" / "csv_semicolon_tab_utf16" / f"{name}.csv"
-    if not path.is_file():
-        pytest.skip("no stamps of other programs in ../shared")
-    shutil.copy(path, tmp_path / "cam0.csv")
-    stamps = read_stamps(tmp_path / "cam0.csv", "cam0")
-    np.testing.assert_allclose(np.diff(stamps.times_s), 1 / 30, atol=2e-6)
