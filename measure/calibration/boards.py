@@ -365,3 +365,34 @@ class AprilGrid(Board):
         seen = pixels.reshape(-1, 2)
         flat = self.points[ids, :2]
         return ids, rms_length(mapped(flat, seen, flat) - seen)
+
+
+@dataclass(frozen=True)
+class Stretched(Board):
+    """A board whose squares are longer along one side: printers stretch paper one way."""
+
+    drawn: Board
+    by_xy: tuple[float, float]  # how many times as long they are along x and along y
+
+    @cached_property
+    def points(self) -> Floats:
+        """All corners (n, 3) in mm."""
+        return self.drawn.points * [*self.by_xy, 1.0]
+
+    @property
+    def turns(self) -> tuple[Ints, ...]:
+        """Those of the board that was drawn."""
+        return self.drawn.turns
+
+    @property
+    def title(self) -> str:
+        """What it is, for people who hold it."""
+        return self.drawn.title
+
+    def find(self, gray: Bytes, source: str = "") -> Corners | None:
+        """The corners in a grey picture (h, w), or None where there is no board."""
+        return self.drawn.find(gray, source)
+
+    def look(self, gray: Bytes) -> Corners | None:
+        """The same as quickly as can be."""
+        return self.drawn.look(gray)

@@ -53,6 +53,7 @@ SUB_MM_SD_MM = 0.3
 _MAX_MARK_PX = 1.5
 _MAX_MARK_MM = 0.35
 _SAME_PLACE_MM = 5.0
+_MAX_STRETCH = 0.002  # Of a board: half of it is an error of all lengths
 _MIN_COVERED_SHARE = 0.4
 _NOTED_DISAGREEMENT_MM = 0.5
 _STANDS_OUT_RATIO = 3.0
@@ -105,9 +106,26 @@ def disagreement_findings(rig: RigCalibration) -> list[Finding]:
     return findings
 
 
+def board_findings(rig: RigCalibration) -> list[Finding]:
+    """A line if the board was stretched."""
+    if rig.stretch is None or not rig.stretch.is_seen:
+        return []
+    share = rig.stretch.share
+    long, short = ("y", "x") if share > 0 else ("x", "y")
+    text = (
+        f"the board's squares are {abs(share):.2%} +- {rig.stretch.sd:.2%} longer along {long} "
+        f"than along {short} (x is along the first of its numbers of corners): a printer "
+        "stretches paper one way. That is allowed for, but not which of the two is as stated: "
+        f"all lengths may be off by {abs(share) / 2:.2%}; measure both sides and state them as "
+        "square_mm = [along x, along y]"
+    )
+    level = Level.WRONG if abs(share) > _MAX_STRETCH else Level.WEAK
+    return [Finding(level, "boards", text)]
+
+
 def lens_findings(rig: RigCalibration) -> list[Finding]:
     """What the lenses' views lack, and why freer lenses were refused."""
-    findings = []
+    findings = list[Finding]()
     for name, lens in rig.lenses.items():
         if lens.views.covered_share < _MIN_COVERED_SHARE:
             text = (

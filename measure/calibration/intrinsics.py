@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -77,6 +78,40 @@ def _calibrate(
     fit = _fit(board.points, views, views.views, model)
     _refuse_implausible(fit, camera)
     return LensCalibration(fit, model, held_out, reasons, views, rule)
+
+
+_TRIED_STRETCH = 0.004  # Steps of a parabola: errors of corners grow with its square
+_STRETCH_SIGMAS, _LEAST_STRETCH = 5.0, 5e-4
+"""From which a board is believed to be stretched: one that is not shows up to 1e-4."""
+
+
+@dataclass(frozen=True)
+class BoardStretch:
+    """How much longer a board's squares are along y than along x, as its pictures show."""
+
+    share: float
+    sd: float
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether it is significant."""
+        return abs(self.share) > max(_STRETCH_SIGMAS * self.sd, _LEAST_STRETCH)
+
+
+def board_stretch(board: Board, lenses: Iterable[LensCalibration]) -> BoardStretch:
+    """By all cameras' views: lens and poses are fitted again to a board stretched to and fro."""
+    shares, cost = np.array([-_TRIED_STRETCH, 0.0, _TRIED_STRETCH]), np.zeros(3)
+    for lens in lenses:
+        views, start = lens.views.views, lens.fit.intrinsics
+        squares = [
+            np.sum(fit_lens(start, board.points * [1, 1 + s, 1], views, lens.model).residuals ** 2)
+            for s in shares
+        ]
+        cost += np.array(squares) * 2 * sum(len(view.ids) for view in views) / min(squares)
+    square, slope, _ = np.polyfit(shares, cost, 2)
+    if not square > 0:
+        return BoardStretch(0.0, np.inf)
+    return BoardStretch(float(-slope / 2 / square), float(1 / np.sqrt(square)))
 
 
 def _fit(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -11,10 +12,15 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration import extrinsics, rig_problem
-from measure.calibration.boards import Board, CornerRule
+from measure.calibration.boards import Board, CornerRule, Stretched
 from measure.calibration.capture import Capture, CaptureCamera
 from measure.calibration.common_views import Joint, fit_common_views
-from measure.calibration.intrinsics import LensCalibration, calibrate_lens
+from measure.calibration.intrinsics import (
+    BoardStretch,
+    LensCalibration,
+    board_stretch,
+    calibrate_lens,
+)
 from measure.calibration.markers import FoundMarkers
 from measure.calibration.starts import (
     check_board_against_marks,
@@ -53,6 +59,7 @@ class RigCalibration:
     # (n, 3) mm, board corners in view, where there are no markers.
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     joint: Joint | None = None  # covariance of all cameras, where `fit` does not hold it
+    stretch: BoardStretch | None = None  # of the board, as stated; None if no lens was calibrated
 
     @property
     def tolerances(self) -> rig_problem.Tolerances:
@@ -88,9 +95,28 @@ def calibrate_capture(
             color = None if found is None else (float(found.red_blue[0]), float(found.red_blue[1]))
             lenses[camera.name] = replace(lens, lateral_color=color)
             known[camera.name] = lenses[camera.name].intrinsics
+    stretch = None
+    if capture.board is not None and lenses:
+        stretch = board_stretch(capture.board, lenses.values())
+        if stretch.is_seen:
+            along = math.sqrt(1 + stretch.share)
+            capture = replace(capture, board=Stretched(capture.board, (1 / along, along)))
+            lenses = _of_board(capture, lenses)
+            known |= {name: lens.intrinsics for name, lens in lenses.items()}
     if capture.settings.common_views:
-        return _relative(capture, lenses)
-    return _locate_all(capture, method, lenses, known)
+        return replace(_relative(capture, lenses), stretch=stretch)
+    return replace(_locate_all(capture, method, lenses, known), stretch=stretch)
+
+
+def _of_board(capture: Capture, lenses: dict[str, LensCalibration]) -> dict[str, LensCalibration]:
+    """The lenses by the views that were found, of a board of another shape."""
+    out = {}
+    for camera in capture.cameras:
+        if (lens := lenses.get(camera.name)) is not None and capture.board is not None:
+            model = camera.model or capture.settings.model
+            again = calibrate_lens(capture.board, lens.views, camera.name, model)
+            out[camera.name] = replace(again, lateral_color=lens.lateral_color)
+    return out
 
 
 def check_calibrated(capture: Capture) -> None:

@@ -20,7 +20,14 @@ from pydantic import (
 )
 
 from measure.arrays import Floats
-from measure.calibration.boards import AprilGrid, Board, Charuco, Chessboard, aruco_dictionary
+from measure.calibration.boards import (
+    AprilGrid,
+    Board,
+    Charuco,
+    Chessboard,
+    Stretched,
+    aruco_dictionary,
+)
 from measure.errors import CalibrationError
 from measure.reading import read_text
 from measure.session import FileModel, Length, Name, Position, load_toml
@@ -40,6 +47,10 @@ Tolerance = Annotated[FiniteFloat, Field(ge=0, le=1e6), AfterValidator(_exact_or
 """A standard deviation in mm or degrees; 0 is exact."""
 
 
+Squares = Length | tuple[Length, Length]
+"""Side of a square in mm, or its two sides along x and along y."""
+
+
 class BoardFile(FileModel):
     """A board, and what it is called."""
 
@@ -49,7 +60,11 @@ class BoardFile(FileModel):
 
     def board(self) -> Board:
         """The board described."""
-        return type(self).made(**self.model_dump(exclude={"kind", "name"}))
+        given = self.model_dump(exclude={"kind", "name"})
+        along_x, along_y = np.broadcast_to(given.get("square_mm", 1.0), 2).tolist()
+        if along_x == along_y:
+            return type(self).made(**given)
+        return Stretched(type(self).made(**given | {"square_mm": along_x}), (1, along_y / along_x))
 
 
 class ChessboardFile(BoardFile):
@@ -59,7 +74,7 @@ class ChessboardFile(BoardFile):
     kind: Literal["chessboard"]
     name: str = "chessboard"
     inner_corners: tuple[Count, Count]
-    square_mm: Length
+    square_mm: Squares
 
 
 class CharucoFile(BoardFile):
@@ -69,7 +84,7 @@ class CharucoFile(BoardFile):
     kind: Literal["charuco"]
     name: str = "charuco"
     inner_corners: tuple[Count, Count]
-    square_mm: Length
+    square_mm: Squares
     marker_mm: Length
     dictionary: str = "DICT_4X4_100"
     inverted: bool = False
@@ -86,7 +101,8 @@ class CharucoFile(BoardFile):
 
     @model_validator(mode="after")
     def _fits(self) -> CharucoFile:
-        if np.float32(self.marker_mm) >= np.float32(self.square_mm):  # as OpenCV takes them
+        side_mm = np.min(np.asarray(self.square_mm, np.float32))  # as OpenCV takes them
+        if np.float32(self.marker_mm) >= side_mm:
             raise ValueError("marker_mm must be smaller than square_mm")
         columns, rows = self.inner_corners
         needed = (columns + 1) * (rows + 1) // 2

@@ -14,6 +14,7 @@ from measure.calibration.extrinsics import fit_rig
 from measure.calibration.findings import (
     Workspace,
     accuracy_findings,
+    board_findings,
     disagreement_findings,
     lens_findings,
     mark_findings,
@@ -73,7 +74,7 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
     scale, scale_findings = _scale(rig)
     findings = plausibility(rig.cameras, workspace, floor_z_mm)
     findings += mark_findings(rig) + disagreement_findings(rig) + scale_findings
-    findings += lens_findings(rig)
+    findings += board_findings(rig) + lens_findings(rig)
     findings += accuracy_findings(position)
     return Verdict(
         workspace,

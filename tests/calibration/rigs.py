@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration import Chessboard, Corners, RigObservations, Tolerances
+from measure.calibration import Board, Chessboard, Corners, RigObservations, Tolerances
 from measure.calibration.board_views import board_pose
 from measure.calibration.rig_problem import BoardObservation, MarkerObservation
 from measure.geometry import RigidTransform
@@ -59,11 +59,15 @@ def board_poses(rng: np.random.Generator, count: int) -> list[RigidTransform]:
 
 
 def board_views(
-    intrinsics: Intrinsics, rng: np.random.Generator, count: int = 12, sd_px: float = 0.05
+    intrinsics: Intrinsics,
+    rng: np.random.Generator,
+    count: int = 12,
+    sd_px: float = 0.05,
+    board: Board = BOARD,
 ) -> tuple[Corners, ...]:
     views = []
     for number, pose in enumerate(board_poses(rng, count)):
-        pixels = intrinsics.project(pose.apply(BOARD.points))
+        pixels = intrinsics.project(pose.apply(board.points))
         pixels = pixels + rng.normal(0, sd_px, pixels.shape)
         views.append(Corners(np.arange(len(pixels)), pixels, 0.4, f"view{number}.jpg"))
     return tuple(views)

@@ -7,14 +7,16 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.calibration import Chessboard, Corners, calibrate_lens, choose_views
+from measure.calibration import Chessboard, Corners, calibrate_lens, choose_views, read_board
 from measure.calibration.board_views import (
     LENS_MODELS,
     fit_lens,
     intrinsics_vector,
     start_intrinsics,
 )
+from measure.calibration.boards import Stretched
 from measure.calibration.findings import lens_findings
+from measure.calibration.intrinsics import board_stretch
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
@@ -176,3 +178,25 @@ def test_notes_of_one_kind_are_one_line() -> None:
         "note: camera cam0: 2 pictures left out, blurred; first 30.jpg",
         "note: camera cam0: 40.jpg left out: the same as another view",
     ]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.005, -0.016])
+def test_a_board_that_its_printer_stretched_is_told_from_the_lens(share) -> None:
+    """To a ten-thousandth, and a right one is not."""
+    printed = Stretched(BOARD, (1.0, 1 + share))
+    found = []
+    for number in range(3):
+        views = board_views(lens(number), np.random.default_rng(number), board=printed)
+        found.append(calibrate_lens(BOARD, choose_views(BOARD, list(views), SIZE, "cam0"), "cam0"))
+    seen = board_stretch(BOARD, found)
+    assert seen.share == pytest.approx(share, abs=max(4 * seen.sd, 0.02 * abs(share)))
+    assert seen.sd < 3e-4
+    assert seen.is_seen == (share != 0)
+
+
+def test_a_board_file_states_both_sides_of_a_square(tmp_path) -> None:
+    (tmp_path / "board.toml").write_text(
+        'kind = "chessboard"\ninner_corners = [9, 6]\nsquare_mm = [25.0, 24.6]\n', "utf-8"
+    )
+    points = read_board(tmp_path / "board.toml").points
+    np.testing.assert_allclose(points, BOARD.points * [1, 24.6 / 25, 1])
