@@ -109,6 +109,7 @@ def _words(addresses: dict[str, str]) -> list[str]:
 
 def _take(page: Chromium, name: str, folder: Path | None) -> None:
     """In every size of window; the docs show the first, and few of the others."""
+    page.wait_for("!document.querySelector('.q-notification')", 30)
     for size, (width, height) in SIZES.items():
         for dark in (False, True):
             shown = 0 if dark else SHOWN.get(name + size, 0 if size else WIDTH_PX)

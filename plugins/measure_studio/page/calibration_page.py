@@ -119,9 +119,9 @@ class _Wave:
         if self.state is None:
             return "show the board to the cameras"
         if self.is_accurate and self.state.advice:
-            lacks = "; ".join(self.state.advice[:_ADVISED])
-            is_part = any(row in lacks for row in _ROWS)
-            return f"Accurate enough. Still {'empty' if is_part else 'to do'}: {lacks}"
+            empty = [one for one in self.state.advice if any(row in one for row in _ROWS)]
+            what, lacks = ("empty", empty) if empty else ("to do", self.state.advice)
+            return f"Accurate enough. Still {what}: {'; '.join(lacks[:_ADVISED])}"
         return "\n".join(self.state.advice[:_ADVISED])
 
     def reached(self) -> str:
