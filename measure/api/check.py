@@ -37,10 +37,9 @@ from measure.checking.body import BodyCheck, check_body, locate_balls, size_caus
 from measure.checking.causes import ALL, Cause, Word
 from measure.checking.clocks import CameraClock
 from measure.checking.coverage import disagreeing_causes
-from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose
+from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose_recording
 from measure.checking.motion import MotionCheck, check_motion, flag_findings
 from measure.checking.pictures import burst_causes, gaps_alone, rate_causes
-from measure.checking.sightings import evidence_of
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
@@ -56,11 +55,6 @@ _LOOKED_AT_S = 6.0  # How much of each camera is searched for clocks' offsets
 _BY_MOTION_S = 0.06  # Smaller offsets are left to the poses, which tell them from a turned camera
 _FAR_S = 0.01
 """A clock this far off is set right before it is estimated at last: images are paired anew."""
-
-
-_WELL_EXPLAINED = 0.4
-"""Mean square of residuals of balls that were followed, below which their causes need no second
-look: 0.1 to 0.25 where nothing else is off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,17 +333,9 @@ class _Looking:
             ]
             measured = ()
         gaps_s = gaps_alone({name: s.times_s for name, s in self.session.streams.items()})
-
-        def diagnosed(measured: Sequence[Measurement]) -> Diagnosis:
-            evidence = evidence_of(searched, found, measured, body, cameras, gaps_s)
-            return diagnose(evidence, self._squares)
-
-        followed = diagnosed(measured)
-        if not measured or followed.left < _WELL_EXPLAINED:
-            return followed
-        # What is followed lies near where it was expected: whole pictures tell more.
-        whole = diagnosed(())
-        return whole if whole.causes else followed
+        return diagnose_recording(
+            (searched, found), measured, body, cameras, gaps_s, squares=self._squares
+        )
 
     @cached_property
     def _squares(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,10 @@ from measure.checking.evidence import SEARCHED_PX, TRACKED_PX, Evidence
 from measure.checking.explaining import Explanation, Fit, explain, worst_camera
 from measure.checking.finding import Level
 from measure.checking.hypotheses import Hypothesis
+from measure.checking.search import SearchSample
+from measure.checking.sightings import evidence_of
+from measure.measuring.measurement import Measurement
+from measure.model import Body, Camera, Detection
 
 _EXPLAINED = 0.5
 """Share that a cause explains, below which nothing that is known is named first."""
@@ -57,6 +61,33 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
     if fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
         causes.insert(0, _unknown(worst_camera(evidence, fit), causes))
     return Diagnosis(tuple(causes), misfit, left)
+
+
+_WELL_EXPLAINED = 0.4
+"""Mean square of residuals of balls that were followed, below which their causes need no second
+look: 0.1 to 0.25 where nothing else is off."""
+
+
+def diagnose_recording(
+    searched: tuple[Sequence[SearchSample], Sequence[Mapping[str, Sequence[Detection]]]],
+    measured: Sequence[Measurement],
+    body: Body,
+    cameras: Sequence[Camera],
+    gaps_s: Mapping[str, Floats],
+    squares: bool,
+) -> Diagnosis:
+    """Explain what was searched and measured; the arguments of `evidence_of` and `diagnose`."""
+    both = evidence_of(*searched, measured, body, cameras, gaps_s)
+    followed = diagnose(both, squares)
+    if not measured or followed.left < _WELL_EXPLAINED:
+        return followed
+    if followed.unexplained:  # In light of another colour a search finds other things than balls
+        alone = evidence_of((), (), measured, body, cameras, gaps_s)
+        if alone is not None and not alone.hardly_seen() and diagnose(alone).fits:
+            return diagnose(alone, squares)
+    # What is followed lies near where it was expected: whole pictures tell more.
+    whole = diagnose(evidence_of(*searched, (), body, cameras, gaps_s), squares)
+    return whole if whole.causes else followed
 
 
 def _unknown(camera: str | None, others: Sequence[Cause]) -> Cause:

@@ -159,6 +159,12 @@ class Evidence:
         first = self.shared(SHARED) + len(self.body.balls) + 3 * ball
         return [first, first + 1, first + 2]
 
+    def hardly_seen(self) -> list[str]:
+        """Cameras that saw less than half as much as others: the body is not where it is sought."""
+        seen = np.bincount(self.views, minlength=len(self.cameras))
+        few = seen < np.median(seen) / 2
+        return [camera.name for camera, few in zip(self.cameras, few, strict=True) if few]
+
     def flow(self) -> Floats:
         """By camera (c,), how far a second moves what it sees, in standard deviations, RSS."""
         here = np.zeros((1, self.size))

@@ -119,13 +119,9 @@ def rig_notes(
 
 def _told(cause: Cause, evidence: Evidence) -> Cause:
     """The same, but of a camera that hardly saw the body where it was looked for: that it did."""
-    seen = np.bincount(evidence.views, minlength=len(evidence.cameras))
-    hardly = [
-        c.name for c, n in zip(evidence.cameras, seen, strict=True) if n < np.median(seen) / 2
-    ]
     if cause.cause not in (Word.MOVED, Word.MOVED_AT, Word.ZOOM, Word.POINT, Word.UNKNOWN):
         return cause
-    if cause.of not in hardly:
+    if cause.of not in evidence.hardly_seen():
         return cause
     text = f"{cause.of} sees the balls elsewhere than the others do, or not at all"
     remedy = "`measure check` searches whole pictures, and tells why"
