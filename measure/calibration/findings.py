@@ -54,6 +54,7 @@ _MAX_MARK_PX = 1.5
 _MAX_MARK_MM = 0.35
 _SAME_PLACE_MM = 5.0
 _MAX_STRETCH = 0.002  # Of a board: half of it is an error of all lengths
+_MAX_BOW_MM = 0.4  # 1 mm in a board of 225 mm makes 0.15 mm of the pose's error
 _MIN_COVERED_SHARE = 0.4
 _NOTED_DISAGREEMENT_MM = 0.5
 _STANDS_OUT_RATIO = 3.0
@@ -107,20 +108,35 @@ def disagreement_findings(rig: RigCalibration) -> list[Finding]:
 
 
 def board_findings(rig: RigCalibration) -> list[Finding]:
-    """A line if the board was stretched."""
-    if rig.stretch is None or not rig.stretch.is_seen:
+    """Lines on a board that was stretched or is not flat."""
+    if rig.shape is None:
         return []
-    share = rig.stretch.share
-    long, short = ("y", "x") if share > 0 else ("x", "y")
-    text = (
-        f"the board's squares are {abs(share):.2%} +- {rig.stretch.sd:.2%} longer along {long} "
-        f"than along {short} (x is along the first of its numbers of corners): a printer "
-        "stretches paper one way. That is allowed for, but not which of the two is as stated: "
-        f"all lengths may be off by {abs(share) / 2:.2%}; measure both sides and state them as "
-        "square_mm = [along x, along y]"
-    )
-    level = Level.WRONG if abs(share) > _MAX_STRETCH else Level.WEAK
-    return [Finding(level, "boards", text)]
+    (share, *bows), (sd, *bow_sds), findings = rig.shape.seen, rig.shape.sds, list[Finding]()
+    if share:
+        long, short = ("y", "x") if share > 0 else ("x", "y")
+        text = (
+            f"the board's squares are {abs(share):.2%} +- {sd:.2%} longer along {long} "
+            f"than along {short} (x is along the first of its numbers of corners): a printer "
+            "stretches paper one way. That is allowed for, but not which of the two is as stated: "
+            f"all lengths may be off by {abs(share) / 2:.2%}; measure both sides and state them as "
+            "square_mm = [along x, along y]"
+        )
+        level = Level.WRONG if abs(share) > _MAX_STRETCH else Level.WEAK
+        findings.append(Finding(level, "boards", text))
+    bowed = [
+        f"{abs(mm):.2f} +- {mm_sd:.2f} mm along {axis}"
+        for mm, mm_sd, axis in zip(bows, bow_sds, "xy", strict=True)
+        if mm
+    ]
+    if bowed:
+        text = (
+            f"the board is not flat: it is bowed by {' and '.join(bowed)} (x is along the first of "
+            "its numbers of corners), in the pictures of all cameras. That is not allowed for: "
+            "poses are off by several times what is expected; glue it to glass or aluminium"
+        )
+        level = Level.WRONG if np.max(np.abs(bows)) > _MAX_BOW_MM else Level.WEAK
+        findings.append(Finding(level, "boards", text))
+    return findings
 
 
 def lens_findings(rig: RigCalibration) -> list[Finding]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -80,38 +81,58 @@ def _calibrate(
     return LensCalibration(fit, model, held_out, reasons, views, rule)
 
 
-_TRIED_STRETCH = 0.004  # Steps of a parabola: errors of corners grow with its square
-_STRETCH_SIGMAS, _LEAST_STRETCH = 5.0, 5e-4
-"""From which a board is believed to be stretched: one that is not shows up to 1e-4."""
+_TRIED = np.array([0.004, 0.4, 0.4])
+"""Steps by which shapes are tried, a share and mm: errors of corners grow in proportion to them."""
+_SIGMAS, _LEAST = 5.0, np.array([5e-4, 0.15, 0.15])
+"""From which a board is believed not to be as drawn: one that is shows a third of that at most."""
 
 
 @dataclass(frozen=True)
-class BoardStretch:
-    """How much longer a board's squares are along y than along x, as its pictures show."""
+class BoardShape:
+    """How a board differs from its drawing, as its pictures show."""
 
-    share: float
-    sd: float
+    # (3,) by which share its squares are longer along y than along x; and how many mm its middle
+    # stands behind its edges, where x runs along them and where y does.
+    values: Floats
+    sds: Floats  # (3,)
 
     @property
-    def is_seen(self) -> bool:
-        """Whether it is significant."""
-        return abs(self.share) > max(_STRETCH_SIGMAS * self.sd, _LEAST_STRETCH)
+    def seen(self) -> Floats:
+        """The same (3,), but 0 where it is not significant."""
+        clear = np.abs(self.values) > np.maximum(_SIGMAS * self.sds, _LEAST)
+        return np.where(clear, self.values, 0.0)
 
 
-def board_stretch(board: Board, lenses: Iterable[LensCalibration]) -> BoardStretch:
-    """By all cameras' views: lens and poses are fitted again to a board stretched to and fro."""
-    shares, cost = np.array([-_TRIED_STRETCH, 0.0, _TRIED_STRETCH]), np.zeros(3)
+def board_shape(board: Board, lenses: Iterable[LensCalibration]) -> BoardShape:
+    """By all cameras' views: lens and poses are fitted again to boards of other shapes."""
+    information, gradient = np.zeros((3, 3)), np.zeros(3)
     for lens in lenses:
-        views, start = lens.views.views, lens.fit.intrinsics
-        squares = [
-            np.sum(fit_lens(start, board.points * [1, 1 + s, 1], views, lens.model).residuals ** 2)
-            for s in shares
-        ]
-        cost += np.array(squares) * 2 * sum(len(view.ids) for view in views) / min(squares)
-    square, slope, _ = np.polyfit(shares, cost, 2)
-    if not square > 0:
-        return BoardStretch(0.0, np.inf)
-    return BoardStretch(float(-slope / 2 / square), float(1 / np.sqrt(square)))
+        fit = partial(_residuals, board, lens)
+        left = fit(np.zeros(3))
+        by_shape = [(fit(step) - fit(-step)) / (2 * step.sum()) for step in np.diag(_TRIED)]
+        jacobian = np.column_stack(by_shape)
+        information += jacobian.T @ jacobian / np.mean(left**2)
+        gradient -= jacobian.T @ left / np.mean(left**2)
+    if np.linalg.matrix_rank(information) < 3:
+        return BoardShape(np.zeros(3), np.full(3, np.inf))
+    covariance = np.linalg.inv(information)
+    return BoardShape(covariance @ gradient, np.sqrt(np.diag(covariance)))
+
+
+def _residuals(board: Board, lens: LensCalibration, shape: Floats) -> Floats:
+    """Those of all views' corners, lens and poses fitted to a board of another shape."""
+    points, views = _shaped(board.points, shape), lens.views.views
+    return fit_lens(lens.fit.intrinsics, points, views, lens.model).residuals.ravel()
+
+
+def _shaped(points: Floats, shape: Floats) -> Floats:
+    """Corners (n, 3) of a board of another shape, see `BoardShape`."""
+    stretch, *bows = shape
+    half = np.ptp(points[:, :2], axis=0) / 2
+    across = (points[:, :2] - points[:, :2].min(axis=0) - half) / half
+    out = points * [1, 1 + stretch, 1]
+    out[:, 2] += (1 - across**2) @ bows
+    return out
 
 
 def _fit(

@@ -15,12 +15,7 @@ from measure.calibration import extrinsics, rig_problem
 from measure.calibration.boards import Board, CornerRule, Stretched
 from measure.calibration.capture import Capture, CaptureCamera
 from measure.calibration.common_views import Joint, fit_common_views
-from measure.calibration.intrinsics import (
-    BoardStretch,
-    LensCalibration,
-    board_stretch,
-    calibrate_lens,
-)
+from measure.calibration.intrinsics import BoardShape, LensCalibration, board_shape, calibrate_lens
 from measure.calibration.markers import FoundMarkers
 from measure.calibration.starts import (
     check_board_against_marks,
@@ -59,7 +54,7 @@ class RigCalibration:
     # (n, 3) mm, board corners in view, where there are no markers.
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     joint: Joint | None = None  # covariance of all cameras, where `fit` does not hold it
-    stretch: BoardStretch | None = None  # of the board, as stated; None if no lens was calibrated
+    shape: BoardShape | None = None  # of the board, as stated; None if no lens was calibrated
 
     @property
     def tolerances(self) -> rig_problem.Tolerances:
@@ -95,17 +90,17 @@ def calibrate_capture(
             color = None if found is None else (float(found.red_blue[0]), float(found.red_blue[1]))
             lenses[camera.name] = replace(lens, lateral_color=color)
             known[camera.name] = lenses[camera.name].intrinsics
-    stretch = None
+    shape = None
     if capture.board is not None and lenses:
-        stretch = board_stretch(capture.board, lenses.values())
-        if stretch.is_seen:
-            along = math.sqrt(1 + stretch.share)
+        shape = board_shape(capture.board, lenses.values())
+        if stretch := float(shape.seen[0]):
+            along = math.sqrt(1 + stretch)
             capture = replace(capture, board=Stretched(capture.board, (1 / along, along)))
             lenses = _of_board(capture, lenses)
             known |= {name: lens.intrinsics for name, lens in lenses.items()}
     if capture.settings.common_views:
-        return replace(_relative(capture, lenses), stretch=stretch)
-    return replace(_locate_all(capture, method, lenses, known), stretch=stretch)
+        return replace(_relative(capture, lenses), shape=shape)
+    return replace(_locate_all(capture, method, lenses, known), shape=shape)
 
 
 def _of_board(capture: Capture, lenses: dict[str, LensCalibration]) -> dict[str, LensCalibration]:

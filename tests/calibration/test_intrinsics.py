@@ -14,9 +14,8 @@ from measure.calibration.board_views import (
     intrinsics_vector,
     start_intrinsics,
 )
-from measure.calibration.boards import Stretched
 from measure.calibration.findings import lens_findings
-from measure.calibration.intrinsics import board_stretch
+from measure.calibration.intrinsics import _shaped, board_shape
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
@@ -180,18 +179,21 @@ def test_notes_of_one_kind_are_one_line() -> None:
     ]
 
 
-@pytest.mark.parametrize("share", [0.0, 0.005, -0.016])
-def test_a_board_that_its_printer_stretched_is_told_from_the_lens(share) -> None:
-    """To a ten-thousandth, and a right one is not."""
-    printed = Stretched(BOARD, (1.0, 1 + share))
+@pytest.mark.parametrize(
+    "shape", [(0, 0, 0), (0.005, 0, 0), (-0.016, 0, 0), (0, 1.0, 0), (0, 0, -0.6), (0.003, 0.8, 0)]
+)
+def test_a_stretched_board_and_a_bowed_one_are_told_apart(shape) -> None:
+    """And from the lens; a right one is neither."""
+    printed = SimpleNamespace(points=_shaped(BOARD.points, np.array(shape)))
     found = []
     for number in range(3):
         views = board_views(lens(number), np.random.default_rng(number), board=printed)
         found.append(calibrate_lens(BOARD, choose_views(BOARD, list(views), SIZE, "cam0"), "cam0"))
-    seen = board_stretch(BOARD, found)
-    assert seen.share == pytest.approx(share, abs=max(4 * seen.sd, 0.02 * abs(share)))
-    assert seen.sd < 3e-4
-    assert seen.is_seen == (share != 0)
+    measured = board_shape(BOARD, found)
+    off = np.abs(measured.values - shape)
+    assert np.all(off < np.maximum(4 * measured.sds, 0.05 * np.abs(shape)))
+    assert np.all(measured.sds < [5e-4, 0.06, 0.06])
+    np.testing.assert_array_equal(measured.seen != 0, np.array(shape) != 0)
 
 
 def test_a_board_file_states_both_sides_of_a_square(tmp_path) -> None:
