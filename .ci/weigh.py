@@ -19,7 +19,7 @@ BOUNDS = {
     "core": 26_300,  # 26,000 is wanted
     "kernels": 225,  # 150 is wanted
     "constants": 1_200,  # numbers that are named in modules; 650 is wanted
-    "lines of a file": 410,  # 400 is wanted
+    "lines of a file": 400,
     "tests": 43_000,  # lines of their files; 30,000 is wanted
     "docs": 6_500,  # lines of pages
     "starred tuples": 0,  # calls with a local tuple and a star

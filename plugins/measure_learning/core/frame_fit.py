@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from measure.arrays import Bools, Floats, Ints, rms_length
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
@@ -20,6 +19,7 @@ from measure.geometry.normal_equations import posterior_covariance, undetermined
 from measure.metrology.poses import PoseTable, SharedErrors, independent_count
 from measure.robots import SerialChain
 from measure.robots.chain import LinkEffects, link_jacobian, usual_sd, with_link_errors
+from measure_learning.core.turns import nearest_rotation, turn_products, turn_starts
 
 FRAMES = 12
 """Parameters of both frames: world_from_base, then body_from_flange, each as `perturb` has them."""
@@ -31,10 +31,7 @@ _UNKNOWN_MM, _UNKNOWN_RAD, _UNKNOWN_S = 1e3, 2.0, 1.0
 OPEN_SHARE = 0.1
 """Of these, from which a direction counts as not determined: 100 mm and 11 deg are no answer."""
 _ROUNDS = 3  # of leaving out poses that disagree
-_TURN_TOLERANCE_RAD = 0.02  # up to which such solutions are as good
 _LEAST_SINGULAR = 1e-2  # of shifts, over the largest: turns by 1 deg may be noise alone
-_START_TURNS = 24  # rotations that are tried where the closed form leaves one open
-_ALIKE = 0.98  # ratio of two singular values, from which the rotations have several solutions
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,13 +323,13 @@ def _closed_form(seen: Sightings) -> tuple[RigidTransform, RigidTransform]:
     poses = seen.poses.world_from_body
     hand = seen.hand()
     if seen.chain:
-        starts = [pair[:2] for pair in _turn_starts(hand.rotation, poses.rotation)]
+        starts = [pair[:2] for pair in turn_starts(hand.rotation, poses.rotation)]
     else:  # R_pose p + t = A reported + b, linear in p, A and b
         unit = np.broadcast_to(np.eye(3), poses.rotation.shape)
         spread = np.einsum("nk,ij->nikj", hand.translation, np.eye(3)).reshape(-1, 3, 9)
         rows = np.concatenate([spread, unit, -poses.rotation], axis=2).reshape(-1, 15)
         flat = np.linalg.lstsq(rows, poses.translation.ravel())[0][:9]
-        starts = [(_nearest_rotation(flat), np.eye(3))]
+        starts = [(nearest_rotation(flat), np.eye(3))]
     return min((_with_shifts(hand, poses, *turns) for turns in starts), key=lambda found: found[2])[
         :2
     ]
@@ -358,49 +355,7 @@ def quick_miss(seen: Sightings, lever_mm: float) -> float:
     return rms_length(r * np.repeat([1.0, lever_mm], 3))
 
 
-def align_turns(hand: Floats, pose: Floats) -> tuple[Floats, Floats, float]:
-    """Rotations world_from_base and body_from_flange, of base_from_flange and world_from_body.
-
-    Those are (n, 3, 3); last the angle, rad RMS, by which they miss each other.
-    """
-    return min(_turn_starts(hand, pose), key=lambda found: found[2])
-
-
-def _turn_starts(hand: Floats, pose: Floats) -> list[tuple[Floats, Floats, float]]:
-    """What `align_turns` returns: once, or several that are as good, if the turns leave one open.
-
-    So they do if all are about one axis, or if there are none.
-    """
-    K = _turn_products(hand, pose)
-    u, sizes, v = np.linalg.svd(K)
-    pairs = [(_nearest_rotation(u[:, 0]), _nearest_rotation(v[0]))]
-    if sizes[1] > _ALIKE * sizes[0]:
-        turns = Rotation.random(_START_TURNS, rng=0).as_matrix()
-        pairs += [(turn, np.eye(3)) for turn in turns]
-    out = []
-    for base, flange in pairs:
-        for _ in range(_STEPS if len(pairs) > 1 else 0):
-            flange = _nearest_rotation(K.T @ base.T.ravel())
-            base = _nearest_rotation(K @ flange.T.ravel())
-        agreed = float(base.T.ravel() @ K @ flange.T.ravel())
-        out.append((base, flange, float(np.sqrt(max(0.0, 3 - agreed)))))
-    best = min(found[2] for found in out)
-    return [found for found in out if found[2] < best + _TURN_TOLERANCE_RAD]
-
-
-def _turn_products(hand: Floats, pose: Floats) -> Floats:
-    """With vec by columns, vec(R_base) = (R_hand x R_pose) vec(R_flange): their mean (9, 9)."""
-    return np.asarray(np.einsum("nab,ncd->acbd", hand, pose).reshape(9, 9) / len(hand))
-
-
 def turns_agree(seen: Sightings) -> float:
     """1 where some base and flange bring all rotations together, less where none does."""
-    K = _turn_products(seen.hand().rotation, seen.poses.world_from_body.rotation)
+    K = turn_products(seen.hand().rotation, seen.poses.world_from_body.rotation)
     return float(np.linalg.norm(K, 2))
-
-
-def _nearest_rotation(columns: Floats) -> Floats:
-    """Of a matrix (9,) by columns, of any size and sign."""
-    matrix = columns.reshape(3, 3).T
-    u, _, v = np.linalg.svd(matrix * np.sign(np.linalg.det(matrix)))
-    return np.asarray(u @ v)

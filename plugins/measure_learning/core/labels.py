@@ -13,8 +13,8 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, align_points, skew
 from measure.host import Dataset
 from measure.robots import SerialChain, StateSchema
-from measure_learning.core.frame_fit import align_turns
 from measure_learning.core.slips import Misfit, changed
+from measure_learning.core.turns import align_turns
 
 _MIN_SPREAD_MM = 1.0  # Spread of the positions below which their unit is not checked
 _MIN_SPREAD_SHARE = 1e-4

@@ -20,8 +20,9 @@ from measure.metrology.rests import find_rests
 from measure.model import Ball, BallColor, Body
 from measure.robots import StateSchema
 from measure_learning.core.assemble import PoseTrack
-from measure_learning.core.frame_fit import Sightings, align_turns
+from measure_learning.core.frame_fit import Sightings
 from measure_learning.core.sightings import LoggedTrack
+from measure_learning.core.turns import align_turns
 
 LEAST_STOPS = 8
 _SPARSE_S = 0.4  # between poses or states, from which they are of a robot that stood still
