@@ -45,6 +45,7 @@ ADVICE = "document.querySelector('[data-advice]')?.innerText"
 JUDGEMENT = "document.querySelector('[data-judgement]')?.innerText"
 FIGURES = "document.querySelector('[data-body]')?.innerText ?? ''"
 SHOWN = "document.querySelectorAll('img.live[src^=blob]').length == {}"
+SETTLED = 8  # Pictures
 PERIOD_S, AT_REST_S = 0.3, 0.1
 """Pictures of one instant are told apart from the next ones on a busy machine, too."""
 MOST_PRESSES, MOST_TYPED, MOST_WAITING_S = 12, 60, 240.0
@@ -135,8 +136,15 @@ class Waits(dict[str, float]):
 
 
 def serve(served, pictures, period_s=PERIOD_S):
+    """Other pictures; on return those before have passed: no hand moves a board faster."""
+    sent = {one: len(served[one].taken_s) for one in served}
     for name, some in pictures.items():
         served[name].pictures, served[name].period_s = some, period_s
+    until_s = time.monotonic() + 10
+    while time.monotonic() < until_s and any(
+        len(served[one].taken_s) < before + SETTLED for one, before in sent.items()
+    ):
+        time.sleep(0.05)
 
 
 def add_cameras(page, addresses):
