@@ -106,9 +106,6 @@ def _scratch(out: Path) -> Iterator[Path]:
 
 def _measure(job: _RecordingJob) -> Outcome:
     """Measure one recording; runs in a worker, maybe for the second time."""
-    import cv2
-
-    cv2.setNumThreads(1)
     options = job.options
     if job.started.exists() and not options.resume:
         # An earlier attempt of this batch was killed here.

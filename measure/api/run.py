@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -78,16 +78,11 @@ def run(
             measured before it was met is kept.
     """
     options = options or RunOptions()
-    check_run_folder(out, options.resume, options.overwrite)
-    with ExitStack() as stack:
-        session = stack.enter_context(options.open(session_path))
-        total = len(session.pair().times_s)
-        options.check_viewer()
-        origin = made_from(session, profile, registry)
-        writer = stack.enter_context(open_writer(session, out, origin, options))
-        kept = writer.kept
-        if kept:
-            on_note(f"resumed at frame set {kept} of {total}")
+    with (
+        opened_run(session_path, out, profile, registry, options, on_note) as (session, writer),
+        ExitStack() as stack,
+    ):
+        total, kept = len(session.pair().times_s), writer.kept
         measured = measure_bodies(session, profile, registry, kept) if kept < total else iter(())
         # Stages that do not fit together or fail at the very first picture are met here: before a
         # folder is made, or an earlier run lost.
@@ -104,6 +99,27 @@ def run(
             progress(measurements[0].index + 1, total)
         log.close()
         return writer.finish()
+
+
+@contextmanager
+def opened_run(
+    session_path: Path,
+    out: Path,
+    profile: Profile,
+    registry: Registry,
+    options: RunOptions,
+    on_note: Callable[[str], None],
+) -> Iterator[tuple[Session, RunWriter]]:
+    """A session and what writes its run, which knows what is kept of an earlier one; see `run`."""
+    check_run_folder(out, options.resume, options.overwrite)
+    with options.open(session_path) as session:
+        total = len(session.pair().times_s)
+        options.check_viewer()
+        origin = _made_from(session, profile, registry)
+        with _writer(session, out, origin, options) as writer:
+            if writer.kept:
+                on_note(f"resumed at frame set {writer.kept} of {total}")
+            yield session, writer
 
 
 def _measured_before(runs: Sequence[Run], kept: int) -> Iterator[list[Measurement]]:
@@ -145,8 +161,7 @@ def provenance(
     )
 
 
-def made_from(session: Session, profile: Profile, registry: Registry) -> Provenance:
-    """`provenance` of a run of this session."""
+def _made_from(session: Session, profile: Profile, registry: Registry) -> Provenance:
     return provenance(
         session.calibration_path,
         session.bodies,
@@ -164,8 +179,7 @@ def made_from(session: Session, profile: Profile, registry: Registry) -> Provena
     )
 
 
-def open_writer(session: Session, out: Path, origin: Provenance, options: RunOptions) -> RunWriter:
-    """What writes a run of this session, made from `origin`."""
+def _writer(session: Session, out: Path, origin: Provenance, options: RunOptions) -> RunWriter:
     return RunWriter(
         out,
         origin,

@@ -74,7 +74,9 @@ def _in_processes(jobs: Mapping[int, Callable[[], R]], count: int) -> Iterator[t
     if not jobs:
         return
     with processes(min(count, len(jobs))) as pool:
-        waiting: dict[Future[R], int] = {pool.submit(job): number for number, job in jobs.items()}
+        waiting: dict[Future[R], int] = {
+            pool.submit(_on_one_core, job): number for number, job in jobs.items()
+        }
         for future in as_completed(waiting):
             try:
                 result = future.result()
@@ -86,7 +88,9 @@ def _in_processes(jobs: Mapping[int, Callable[[], R]], count: int) -> Iterator[t
 def _on_cluster(jobs: Sequence[Callable[[], R]], address: str) -> Iterator[tuple[int, R | str]]:
     """By a dask scheduler, which gives a lost worker's task to another one."""
     with connected(address, "--cluster") as (client, distributed):
-        waiting = {client.submit(job, pure=False): number for number, job in enumerate(jobs)}
+        waiting = {
+            client.submit(_on_one_core, job, pure=False): number for number, job in enumerate(jobs)
+        }
         for future in distributed.as_completed(list(waiting), loop=client.loop):
             error = future.exception()
             if error is None:
@@ -94,3 +98,11 @@ def _on_cluster(jobs: Sequence[Callable[[], R]], address: str) -> Iterator[tuple
             else:
                 line = f"the cluster gave it up: {type(error).__name__}: {error}"
                 yield waiting.pop(future), " ".join(line.split())
+
+
+def _on_one_core(job: Callable[[], R]) -> R:
+    """Do a job in a worker: the others have the other cores."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    return job()

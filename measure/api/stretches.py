@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import pairwise, takewhile
 from pathlib import Path
@@ -11,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from measure.api.measuring import measure_bodies
-from measure.api.run import RunOptions, made_from, open_writer, run
+from measure.api.run import RunOptions, opened_run, run
 from measure.api.spreading import ALL_CORES, Workers, spread
 from measure.api.warming_up import warm_pipeline
 from measure.errors import MeasureError, RunError
 from measure.host import Registry
 from measure.measuring import Profile
 from measure.processes import Progress, quiet
-from measure.results import Summary, check_run_folder
+from measure.results import Summary
 from measure.results.tables import Rows, frame_set_rows
 
 LEAST_FRAME_SETS = 900
@@ -46,15 +45,8 @@ def run_in_stretches(
             it is kept.
     """
     options = options or RunOptions()
-    check_run_folder(out, options.resume, options.overwrite)
-    with ExitStack() as stack:
-        session = stack.enter_context(options.open(session_path))
-        options.check_viewer()
+    with opened_run(session_path, out, profile, registry, options, on_note) as (session, writer):
         total = len(session.pair().times_s)
-        origin = made_from(session, profile, registry)
-        writer = stack.enter_context(open_writer(session, out, origin, options))
-        if writer.kept:
-            on_note(f"resumed at frame set {writer.kept} of {total}")
         # Compiled once, and what does not fit together is met before a folder is made.
         warm_pipeline(profile, registry, session.body, session.cameras)
         ends = np.linspace(writer.kept, total, _count(total - writer.kept, workers) + 1, dtype=int)
@@ -103,9 +95,6 @@ class _Stretch:
 
     def __call__(self) -> Rows | None:
         """Measure them; their rows by table, or None if something is wrong with the session."""
-        import cv2
-
-        cv2.setNumThreads(1)
         try:
             return self._rows()
         except MeasureError:

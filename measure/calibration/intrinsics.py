@@ -83,6 +83,7 @@ def _calibrate(
 
 _TRIED = np.array([0.004, 0.4, 0.4])
 """Steps by which shapes are tried, a share and mm: errors of corners grow in proportion to them."""
+_UNKNOWN = np.array([0.1, 10.0, 10.0])  # Standard deviations of what no picture shows
 _SIGMAS, _LEAST = 5.0, np.array([5e-4, 0.15, 0.15])
 """From which a board is believed not to be as drawn: one that is shows a third of that at most."""
 
@@ -105,7 +106,7 @@ class BoardShape:
 
 def board_shape(board: Board, lenses: Iterable[LensCalibration]) -> BoardShape:
     """By all cameras' views: lens and poses are fitted again to boards of other shapes."""
-    information, gradient = np.zeros((3, 3)), np.zeros(3)
+    information, gradient = np.diag(_UNKNOWN**-2), np.zeros(3)
     for lens in lenses:
         fit = partial(_residuals, board, lens)
         left = fit(np.zeros(3))
@@ -113,8 +114,6 @@ def board_shape(board: Board, lenses: Iterable[LensCalibration]) -> BoardShape:
         jacobian = np.column_stack(by_shape)
         information += jacobian.T @ jacobian / np.mean(left**2)
         gradient -= jacobian.T @ left / np.mean(left**2)
-    if np.linalg.matrix_rank(information) < 3:
-        return BoardShape(np.zeros(3), np.full(3, np.inf))
     covariance = np.linalg.inv(information)
     return BoardShape(covariance @ gradient, np.sqrt(np.diag(covariance)))
 
