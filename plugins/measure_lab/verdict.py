@@ -9,6 +9,7 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.geometry.covariance import chi_square_quantile
 from measure.results import Run
+from measure.results.pose_table import shared_errors
 from measure.results.statistics import consistency
 
 SUB_MM = 1.0  # A position known worse than this (95 %, mm) makes the verdict doubtful
@@ -96,7 +97,9 @@ def _not_counted(run: Run) -> list[str]:
     """What the uncertainty does not hold."""
     out = []
     if all(camera.pose_covariance is None for camera in run.cameras):
-        out.append("The calibration is taken as exact: its file states no uncertainty.")
+        scale_sd = shared_errors(run).scale_sd
+        but = f" but for the world's scale ({scale_sd:.2%})" if scale_sd else ""
+        out.append(f"The calibration is taken as exact{but}: its file states no uncertainty.")
     if not run.body.tolerance_mm:
         out.append("Balls are taken to sit where the body file says: it states no tolerance_mm.")
     return out

@@ -119,6 +119,9 @@ def test_what_all_frame_sets_err_by_alike_is_said(tmp_path):
     tone, sentence = verdict(_run(tmp_path / "run", 20), None)
     assert "The calibration is taken as exact: its file states no uncertainty." in sentence
     assert "Balls are taken to sit where the body file says: it states no tolerance_mm." in sentence
+    scaled = _run(tmp_path / "scaled", 20, provenance=replace(PROVENANCE, scale_sd=6e-4))
+    exact = "The calibration is taken as exact but for the world's scale (0.06%): its file states"
+    assert exact in verdict(scaled, None)[1]
     assert "the body file says 76" not in sentence
     assert tone == "good"
     known = [replace(c, pose_covariance=np.diag([1e-5] * 3 + [1e-10] * 3)) for c in CAMERAS]
