@@ -1,7 +1,8 @@
 """The pose of one body relative to another, with the errors that both share taken out.
 
 A camera that stands elsewhere than its calibration says displaces both poses alike; what moves the
-two as one rigid thing does not move one relative to the other.
+two as one rigid thing does not move one relative to the other. And what the balls of both say about
+the cameras serves both: see `shared_cameras`.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.geometry import skew
+from measure.geometry import RigidTransform, propagate, skew
 from measure.measuring.measurement import Measurement, Status
+from measure.measuring.shared_cameras import solved_together
 from measure.model import Body, Camera, Pose
 
 
@@ -28,7 +30,8 @@ def relative_measurement(
     cameras' calibrations and of the world's scale do to both, and J the derivatives of
     reference_from_body by the two, the covariance is J C J^T in the reference's frame. Of a solver
     that does not state what a camera's error does to its pose (`Pose.by_camera`) the two count as
-    independent but for the scale.
+    independent but for the scale. Where cameras are uncertain, pose and covariance are then moved
+    to those of both bodies solved together.
 
     Args:
         measured: the body, and what was measured of it.
@@ -46,11 +49,15 @@ def relative_measurement(
         status = Status.SKIPPED if Status.SKIPPED in (one.status, other.status) else Status.LOST
         return replace(bare, pose=None, status=status, reason=reason)
     here, there = one.pose.world_from_body, other.pose.world_from_body
-    into = there.rotation.T
-    by_body = np.kron(np.eye(2), into)
-    by_reference = -by_body.copy()
-    by_reference[:3, 3:] = into @ skew(here.translation - there.translation)
-    J = np.hstack([by_body, by_reference])
+    by_poses = _by_poses(here, there)
+    covariance = propagate(by_poses, _joint_covariance(one.pose, other.pose, cameras))
+    if (shared := solved_together((measured, reference), cameras)) is not None:
+        here, there = here.perturb(shared.step[:6]), there.perturb(shared.step[6:])
+        alone, together = (
+            np.asarray(np.linalg.cholesky(propagate(by_poses, each)))
+            for each in (shared.alone, shared.together)
+        )
+        covariance = propagate(together @ np.linalg.inv(alone), covariance)
     flags = tuple(
         f"{of.name}: {flag}"
         for of, pose in ((body, one.pose), (base, other.pose))
@@ -59,7 +66,7 @@ def relative_measurement(
     pose = Pose(
         time_s=one.pose.time_s,
         world_from_body=there.inverse() @ here,
-        covariance=J @ _joint_covariance(one.pose, other.pose, cameras) @ J.T,
+        covariance=covariance,
         residual_mm=float("nan"),
         rms_px=float(np.hypot(one.pose.rms_px, other.pose.rms_px) / np.sqrt(2)),
         cameras=tuple(dict.fromkeys((*one.pose.cameras, *other.pose.cameras))),
@@ -81,6 +88,15 @@ def relative_measurements(
     if base is None:
         return {}
     return {name: relative_measurement(pair, base, cameras) for name, pair in pairs.items()}
+
+
+def _by_poses(here: RigidTransform, there: RigidTransform) -> Floats:
+    """Derivatives (6, 12) of the relative pose by that of the body, then of the reference."""
+    into = there.rotation.T
+    by_body = np.kron(np.eye(2), into)
+    by_reference = -by_body.copy()
+    by_reference[:3, 3:] = into @ skew(here.translation - there.translation)
+    return np.hstack([by_body, by_reference])
 
 
 def _joint_covariance(one: Pose, other: Pose, cameras: Sequence[Camera]) -> Floats:

@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status, relative_measurement
 from measure.measuring.body_scale import with_scale
-from measure.model import Pose
+from measure.model import BallView, Detection, Pose
+from measure.model.observations import State
 from tests.scenes import RAVEN, ring
 
 BASE = replace(RAVEN, name="base")
@@ -88,3 +90,81 @@ def test_without_either_there_is_none_and_flags_say_whose():
     flagged = relative(good, doubtful)
     assert flagged.status is Status.FLAGGED
     assert flagged.pose.flags == ("base: jumped",)
+
+
+def _solved(places, seen, cameras, known_by):
+    """Poses that fit centres seen best, with deviations of the cameras as unknowns of their own.
+
+    Args:
+        seen: by body, then camera: centres (3, 2) px, known to 0.1 px.
+        known_by: whether the deviations are those of one body alone, or common to all.
+    """
+    sd = np.sqrt(np.diagonal(cameras[0].pose_covariance))
+    count = len(known_by)
+
+    def moved(x, index):
+        return places[index].perturb(x[6 * index : 6 * index + 6])
+
+    def off(x):
+        deviations = x[12:].reshape(count, len(cameras), 6)
+        parts = [deviations.ravel()]
+        for group, bodies in enumerate(known_by):
+            for index in bodies:
+                points = moved(x, index).apply(RAVEN.centers)
+                for i, camera in enumerate(cameras):
+                    there = camera.world_from_camera.perturb(deviations[group, i] * sd)
+                    parts.append(
+                        (
+                            seen[index][i]
+                            - replace(camera, world_from_camera=there).project(points)
+                        ).ravel()
+                        / 0.1
+                    )
+        return np.concatenate(parts)
+
+    x = least_squares(off, np.zeros(12 + count * len(cameras) * 6), x_scale="jac").x
+    return [moved(x, index) for index in (0, 1)]
+
+
+def test_two_bodies_agree_about_the_cameras_that_see_both():
+    """As if both were solved in one problem, from poses solved alone; and nearer to the truth."""
+    rng = np.random.default_rng(7)
+    sd = np.array([*[0.3] * 3, *np.radians([0.03] * 3)])
+    true = list(ring(3).values())
+    covariance = np.diag(sd**2)
+    cameras = [
+        replace(
+            camera,
+            world_from_camera=camera.world_from_camera.perturb(sd * rng.normal(size=6)),
+            pose_covariance=covariance,
+        )
+        for camera in true
+    ]
+    places = [HERE, THERE]
+    seen = [[c.project(p.apply(RAVEN.centers)) for c in true] for p in places]
+    alone = _solved(places, seen, cameras, [[0], [1]])
+    together = _solved(places, seen, cameras, [[0, 1]])
+    measured = []
+    for pose, centers in zip(alone, seen, strict=True):
+        views, off = [], {}
+        for camera, pixels in zip(cameras, centers, strict=True):
+            predicted = camera.project(pose.apply(RAVEN.centers))
+            for ball, pixel, there in zip(RAVEN.names, pixels, predicted, strict=True):
+                found = Detection(ball, camera.name, 0.0, pixel, 20.0, np.eye(2) * 0.01)
+                views.append(BallView(ball, camera.name, State.EFFECTIVE, detection=found))
+                off[ball, camera.name] = pixel - there
+        one = measurement(pose, np.diag([0.3**2] * 3 + [3e-3**2] * 3))
+        measured.append(replace(one, views=tuple(views), residuals_px=off))
+    found = relative(*measured, cameras).pose
+    expected = together[1].inverse() @ together[0]
+    apart = alone[1].inverse() @ alone[0]
+    step = apart.difference(expected)
+    left = found.world_from_body.difference(expected)
+    assert np.linalg.norm(step[:3]) > 0.05
+    assert np.linalg.norm(left[:3]) < 0.03 * np.linalg.norm(step[:3])
+    truth = THERE.inverse() @ HERE
+    error, before = (p.difference(truth)[:3] for p in (found.world_from_body, apart))
+    assert np.linalg.norm(error) < 0.5 * np.linalg.norm(before)
+    exact = [replace(camera, pose_covariance=None) for camera in cameras]
+    unmoved = relative(*measured, exact).pose.world_from_body
+    np.testing.assert_allclose(unmoved.matrix, apart.matrix, atol=1e-12)
