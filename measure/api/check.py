@@ -19,7 +19,6 @@ from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
 from measure.checking import (
     ColorlessCount,
-    CombCount,
     Coverage,
     DuplicateCount,
     Finding,
@@ -34,16 +33,17 @@ from measure.checking import (
 )
 from measure.checking.arrangement import arrangement_causes
 from measure.checking.body import BodyCheck, check_body, locate_balls, size_causes, twin_findings
-from measure.checking.causes import ALL, Cause, Word
+from measure.checking.causes import ALL, Cause, Word, beside
 from measure.checking.clocks import CameraClock
 from measure.checking.coverage import disagreeing_causes
 from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose_recording
 from measure.checking.motion import MotionCheck, check_motion, flag_findings
-from measure.checking.pictures import burst_causes, gaps_alone, rate_causes
+from measure.checking.pictures import gaps_alone, stamp_causes, woven_causes
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
+from measure.measuring.woven_images import WovenImages
 from measure.model import Detection
 from measure.processes import Progress, quiet
 from measure.session import Session, holds_jpeg, open_session, read_calibration, session_lacks
@@ -156,9 +156,7 @@ def _together(
     if not known:
         shape = () if diagnosis.fits else shape  # two colours on one ball are two balls to it
         rest = elsewhere or list(shape) or list(diagnosis.causes) or list(sized)
-    # What pictures that are not what they seem show of clocks and places is no cause.
-    said = {name for cause in pictures for name in cause.of.split(", ")}
-    return [*pictures, *(c for c in rest if ALL not in said and c.of not in said)]
+    return beside(pictures, rest)
 
 
 _MOST = 0.5  # Share of what is seen that a cause explains, from which it needs no second opinion
@@ -282,14 +280,14 @@ class _Looking:
         session = self.session
         searched, located, every = [], [], []
         duplicates, colorless, overexposed = DuplicateCount(), ColorlessCount(), OverexposedCount()
-        combs = CombCount()
+        woven = WovenImages()
         detectors = build_detectors(self.profile, self.registry, session.body, session.cameras)
         for frame_set, (seen,) in search_frame_sets(session, [detectors], self._chosen):
             searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
             duplicates.add(frame_set)
             colorless.add(frame_set)
             overexposed.add(frame_set, searched[-1].agreeing)
-            combs.add(frame_set, searched[-1].agreeing)
+            woven.add(frame_set, searched[-1].agreeing)
             located.append(locate_balls(seen, session.body, session.cameras))
             every.append(seen)
             self.step()
@@ -297,10 +295,9 @@ class _Looking:
         times_s = {name: s.times_s for name, s in session.streams.items()}
         causes = [
             *duplicates.causes(),
-            *burst_causes(times_s),
-            *rate_causes(times_s),
+            *stamp_causes(times_s),
             *arrangement_causes(every, searched, session.body, session.cameras),
-            *combs.causes(),
+            *woven_causes(woven.cameras, len(session.cameras)),
         ]
         causes += channel_causes(session, detectors, searched, self._chosen) * (not causes)
         motion, diagnosis = MotionCheck(), Diagnosis()

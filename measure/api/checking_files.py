@@ -7,6 +7,7 @@ from itertools import count
 from pathlib import Path
 
 from measure import checking, session
+from measure.checking.pictures import burst_causes
 from measure.errors import SessionError
 from measure.processes import Progress
 
@@ -46,8 +47,13 @@ def file_findings(
         findings += checking.damage_findings(name, frames, len(streams[name]))
     findings += [checking.Finding(checking.Level.NOTE, "frames", note) for note in notes]
     pairing = session.pair_nearest([stream.times_s for stream in streams.values()])
-    texts = session.seldom_paired(list(streams), [len(one) for one in streams.values()], pairing)
-    findings += [checking.Finding(checking.Level.WRONG, "clock", text) for text in texts]
+    seldom = session.seldom_paired(list(streams), [len(one) for one in streams.values()], pairing)
+    known = [cause.of for cause in burst_causes({n: one.times_s for n, one in streams.items()})]
+    findings += [
+        checking.Finding(checking.Level.WRONG, "clock", text)
+        for name, text in seldom.items()
+        if name not in known
+    ]
     for stream in streams.values():
         findings += checking.stamp_findings(stream.name, stream.times_s, stream.frames)
     return findings

@@ -12,6 +12,7 @@ from typing import Any, get_args
 from measure.api.measuring import measure_bodies
 from measure.api.run_log import LogOptions, RunLog
 from measure.checking import ColorlessCount
+from measure.checking.pictures import stamp_causes
 from measure.errors import ConfigError, MeasureError
 from measure.estimation.expected_accuracy import WORLD_SCALE_SD
 from measure.host import Registry
@@ -162,6 +163,7 @@ def provenance(
 
 
 def _made_from(session: Session, profile: Profile, registry: Registry) -> Provenance:
+    causes = stamp_causes({name: stream.times_s for name, stream in session.streams.items()})
     return provenance(
         session.calibration_path,
         session.bodies,
@@ -172,8 +174,8 @@ def _made_from(session: Session, profile: Profile, registry: Registry) -> Proven
         session_name=session.name,
         notes=(
             *session.notes,
-            *session.stamp_notes(),
-            *session.clock_notes(),
+            *(str(cause.finding) for cause in causes),
+            *session.clock_notes([cause.of for cause in causes]),
             *_without_color(session),
         ),
     )

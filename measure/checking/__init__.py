@@ -4,7 +4,6 @@ from measure.checking.coverage import Coverage, coverage_findings, expected_accu
 from measure.checking.finding import Finding, Level, worst_first
 from measure.checking.pictures import (
     ColorlessCount,
-    CombCount,
     DuplicateCount,
     OverexposedCount,
     damage_findings,
@@ -14,7 +13,7 @@ from measure.checking.pictures import (
 from measure.checking.search import SearchSample, search_sample, with_velocities
 
 __all__ = [
-    "ColorlessCount", "CombCount", "Coverage", "DuplicateCount", "Finding", "Level",
+    "ColorlessCount", "Coverage", "DuplicateCount", "Finding", "Level",
     "OverexposedCount", "SearchSample", "coverage_findings", "damage_findings",
     "duplicate_findings", "expected_accuracy", "search_sample", "stamp_findings",
     "with_velocities", "worst_first",

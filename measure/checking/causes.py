@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -72,6 +73,15 @@ class Cause:
         """The line of a check."""
         text = f"{self.text}{rivals_text(self.rivals)}: {self.remedy}"
         return Finding(self.level, TOPICS.get(self.cause, "calibration"), text)
+
+
+def beside(pictures: Sequence[Cause], others: Sequence[Cause]) -> list[Cause]:
+    """Pictures that are not what they seem, and what else is off.
+
+    What they show of clocks and places is no cause.
+    """
+    said = {name for cause in pictures for name in cause.of.split(", ")}
+    return [*pictures, *(c for c in others if ALL not in said and c.of not in said)]
 
 
 def rivals_text(rivals: tuple[str, ...]) -> str:

@@ -124,6 +124,11 @@ _BURST_STEPS, _LEAST_BURSTS = 3.0, 3
 """Mean step in median steps, from which pictures come in bursts; and of how many that is known."""
 
 
+def stamp_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
+    """Cameras of whose stamps it is known what they are, by the stamps alone."""
+    return [*burst_causes(times_s), *rate_causes(times_s)]
+
+
 def burst_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
     """Cameras whose pictures arrive several at once, with stamps of their arrival."""
     out = []
@@ -263,61 +268,14 @@ def _saturated(pixels: Bytes, ball: Detection) -> Bools:
     return np.asarray(part.max(axis=2) >= FULL)[inside]
 
 
-_COMB_LEVELS = 12  # By which a row differs from both its neighbours, the same way: noise is less
-_COMB_SHARE = 0.3
-"""Of an outline's length in px, pixels that do so where it moves by a pixel between the fields."""
-_COMBED_SHARE, _LEAST_COMBED = 0.2, 3  # Of pictures: where the body rests, no picture shows a comb
-_COMB_REACH = 1.2  # How far out is looked, in radii
-
-
-class CombCount:
-    """Counts pictures woven of two instants: edges that move look like combs."""
-
-    def __init__(self) -> None:
-        self._seen, self._combed = Counter[str](), Counter[str]()
-
-    def add(self, frame_set: FrameSet, balls: Sequence[Detection]) -> None:
-        """Look at the outlines of the balls found in a frame set."""
-        by_camera: dict[str, list[Detection]] = {}
-        for ball in balls:
-            by_camera.setdefault(ball.camera, []).append(ball)
-        for name, found in by_camera.items():
-            pixels = frame_set.images[name].pixels
-            self._seen[name] += 1
-            self._combed[name] += any(_is_combed(pixels, ball) for ball in found)
-
-    def causes(self) -> list[Cause]:
-        """The cameras of which many pictures are combed."""
-        names = [
-            name
-            for name, count in self._combed.items()
-            if count >= max(_LEAST_COMBED, _COMBED_SHARE * self._seen[name])
-        ]
-        if not names:
-            return []
-        counts = ", ".join(f"{self._combed[n]} of {self._seen[n]} of {n}" for n in names)
-        text = f"pictures are woven of two instants (edges of balls look like combs in {counts})"
-        of = ALL if len(names) == len(self._seen) else ", ".join(names)
-        cure = "interlaced: switch the camera to progressive pictures, and record again"
-        return [Cause(Word.INTERLACED, of, text, cure, Level.WRONG)]
-
-
-def _is_combed(pixels: Bytes, ball: Detection) -> bool:
-    (x, y), r = ball.center_px.tolist(), _COMB_REACH * ball.radius_px
-    part = pixels[max(round(y - r), 0) : round(y + r) + 1, max(round(x - r), 0) : round(x + r) + 1]
-    if min(part.shape[:2]) < 3:
-        return False
-    # Noise, and what JPEG makes of it, does so along rows as well.
-    combed = _alternating(part) - _alternating(part.transpose(1, 0, 2))
-    return combed > _COMB_SHARE * 2 * math.pi * ball.radius_px
-
-
-def _alternating(pixels: Bytes) -> int:
-    """How many pixels differ from the rows above and below by as much, the same way."""
-    rows = pixels.astype(np.int16)
-    up, down = rows[1:-1] - rows[:-2], rows[1:-1] - rows[2:]
-    same = (np.minimum(up, down) > _COMB_LEVELS) | (np.maximum(up, down) < -_COMB_LEVELS)
-    return int(same.any(axis=2).sum())
+def woven_causes(names: Sequence[str], count: int) -> list[Cause]:
+    """Cameras, of so many, of which many pictures are combed."""
+    if not names:
+        return []
+    text = f"pictures of {', '.join(names)} are woven of two instants (edges look like combs)"
+    cure = "interlaced: switch the camera to progressive pictures, and record again"
+    of = ALL if len(names) == count else ", ".join(names)
+    return [Cause(Word.INTERLACED, of, text, cure, Level.WRONG)]
 
 
 class ColorlessCount:

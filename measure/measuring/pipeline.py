@@ -17,6 +17,7 @@ from measure.measuring.duplicate_images import DuplicateImages, NewImages
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_surrounding_poses
 from measure.measuring.time_alignment import FrameSetObservations
+from measure.measuring.woven_images import WovenImages
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, FrameSet, Motion, Pose
 from measure.processes import usable_cores
 
@@ -48,7 +49,7 @@ class Pipeline:
         self.body, self.cameras = body, tuple(cameras)
         self._cameras = {camera.name: camera for camera in cameras}
         self._rolling = any(camera.readout_s for camera in cameras)
-        self._duplicates = DuplicateImages()
+        self._duplicates, self._woven = DuplicateImages(), WovenImages()
         self.stages = stages
         self.others: tuple[Pipeline, ...] = ()
 
@@ -108,14 +109,17 @@ class Pipeline:
         review = self.stages.tracker.doubt(frame_set)
         if review is not None:
             review(self._detect(frame_set, {}, pool))
-        return self._with_duplicates(draft, new)
+        return self._with_picture_faults(draft, new)
 
-    def _with_duplicates(self, draft: Draft, new: NewImages) -> Draft:
-        """Name the cameras that show another one's images, and flag what duplicates spoil."""
+    def _with_picture_faults(self, draft: Draft, new: NewImages) -> Draft:
+        """Name cameras that show another one's images; flag what those and woven ones spoil."""
         pose, duplicates = draft.measurement.pose, self._duplicates
         shared = duplicates.judge(new.shared, () if pose is None else pose.cameras)
         draft = replace(draft, measurement=draft.measurement.with_copies(duplicates.copies))
-        for flag in filter(None, (new.flag, shared)):
+        if self._woven.due(draft.measurement.index):
+            seen = (v.detection for v in draft.measurement.views if v.effective and v.detection)
+            self._woven.add(new.frame_set, seen)
+        for flag in filter(None, (new.flag, shared, self._woven.flag)):
             draft = draft.flagged(flag)
         return draft
 

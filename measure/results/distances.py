@@ -13,13 +13,15 @@ import pyarrow.compute as pc
 
 from measure.arrays import Floats
 from measure.checking.body import Compared, layout_causes, size_causes, twin_findings
-from measure.checking.causes import Cause, Word
+from measure.checking.causes import Cause, Word, beside
 from measure.checking.diagnosis import diagnose
 from measure.checking.evidence import Evidence, Sighting
 from measure.checking.finding import Level
+from measure.checking.pictures import woven_causes
 from measure.checking.sightings import MOST_INSTANTS
 from measure.geometry import RigidTransform
 from measure.measuring.ball_radii import outline_growth
+from measure.measuring.woven_images import woven_cameras
 from measure.model import Body, Camera, Detection
 from measure.model.observations import Reason, State
 from measure.results.tables import PLACE, matrices, numbers
@@ -104,15 +106,26 @@ def rig_notes(
     distances: Sequence[BallDistance],
     detections: pa.Table,
     poses: pa.Table,
+    notes: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """What may be wrong with the rig, the likeliest first, a line each; by a run's tables."""
+    """What may be wrong with the rig, the likeliest first, a line each; by a run's tables.
+
+    Nothing of clocks and places of cameras of which the session's notes say what is wrong.
+    """
     seen, sightings = _sightings(detections, poses)
     enough = len(sightings) >= MIN_FRAME_SETS
     evidence = Evidence.of(sightings, body, cameras) if enough else None
     causes = [_told(cause, evidence) for cause in diagnose(evidence).causes if evidence]
-    told = () if causes else contradictions(body, distances)
+    reasons = filter(None, pc.unique(poses["reason"]).to_pylist())
+    woven = woven_causes(woven_cameras(list(reasons)), len(cameras))
+    told = () if causes or woven else contradictions(body, distances)
     if not causes and not told:
         causes = size_causes(body, outline_growth(seen, body, cameras))
+    causes = [
+        cause
+        for cause in beside(woven, causes)
+        if not any(note.startswith(f"{Level.WRONG}: {cause.of}:") for note in notes)
+    ]
     findings = (*(cause.finding for cause in causes), *twin_findings(body))
     return (*told, *map(str, findings))
 

@@ -53,7 +53,9 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        about = rig_notes(self.body, self.cameras, self.distances, self.detections, self.poses)
+        about = rig_notes(
+            self.body, self.cameras, self.distances, self.detections, self.poses, notes
+        )
         return summarise(self.detections, self.poses, notes, about)
 
     @cached_property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
@@ -54,20 +54,20 @@ def pair_nearest(times_s: Sequence[Floats]) -> Pairing:
     return Pairing(positions, _mean_times(times_s, positions), reference, tolerance_s)
 
 
-def seldom_paired(names: Sequence[str], counts: Sequence[int], pairing: Pairing) -> list[str]:
+def seldom_paired(names: Sequence[str], counts: Sequence[int], pairing: Pairing) -> dict[str, str]:
     """A line for every camera of which most pictures are left over while most sets lack one.
 
     A fast camera leaves pictures over and a slow one lacks them; both at once mean another clock.
     """
     sets = len(pairing.times_s)
     used = (pairing.positions >= 0).sum(axis=0).tolist()
-    return [
-        f"camera {name}: {count - here} of {count} pictures belong to no frame set, and "
+    return {
+        name: f"camera {name}: {count - here} of {count} pictures belong to no frame set, and "
         f"{sets - here} of {sets} frame sets have none of it: do its stamps hold seconds, on the "
         "clock of the others?"
         for name, count, here in zip(names, counts, used, strict=True)
         if here < count / 2 and here < sets / 2
-    ]
+    }
 
 
 def _instants(times_s: Sequence[Floats], reference: int, period: float) -> tuple[Floats, Bools]:
@@ -182,15 +182,15 @@ class Session:
         """Frames that form sets (see `pair_nearest`)."""
         return pair_nearest([stream.times_s for stream in self.streams.values()])
 
-    def clock_notes(self) -> tuple[str, ...]:
-        """Cameras whose clock the pairing contradicts, a line each."""
-        counts = [len(stream) for stream in self.streams.values()]
-        return tuple(seldom_paired(list(self.streams), counts, self.pair()))
+    def clock_notes(self, known: Collection[str]) -> tuple[str, ...]:
+        """Stamps with errors of their own, or that the pairing contradicts; a line each.
 
-    def stamp_notes(self) -> tuple[str, ...]:
-        """Cameras whose stamps show errors of their own, a line each."""
-        streams = self.streams.items()
-        return tuple(f"{name}: {note}" for name, s in streams for note in s.stamps.notes)
+        Nothing of cameras that are `known` to have others.
+        """
+        counts = [len(stream) for stream in self.streams.values()]
+        seldom = seldom_paired(list(self.streams), counts, self.pair())
+        own = [(n, f"{n}: {note}") for n, s in self.streams.items() for note in s.stamps.notes]
+        return tuple(text for name, text in (*own, *seldom.items()) if name not in known)
 
     def frame_sets(self, prefetch: int = DEFAULT_PREFETCH, start: int = 0) -> Iterator[FrameSet]:
         """Stream the frame sets (see `pair_nearest`) in order of time, decoded ahead.

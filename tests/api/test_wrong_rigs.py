@@ -6,11 +6,13 @@ No pose without a flag is further off than three of its stated standard deviatio
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -130,6 +132,46 @@ def test_a_wrong_rig_is_named(still: Path, tmp_path: Path, measured, name: str) 
     if rig.flag:
         assert np.mean(flagged) > 0.8
     assert max(deviations(still, measured), default=0.0) < 3
+
+
+def woven(folder: Path) -> None:
+    """Every second row shows the next instant."""
+    for camera in ("cam0", "cam2"):
+        paths = sorted((folder / camera).glob("*.jpg"))
+        images = [cv2.imread(str(path)) for path in paths]
+        for path, image, after in zip(paths, images, images[1:], strict=False):
+            image[1::2] = after[1::2]
+            cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
+
+
+def arrived(folder: Path) -> None:
+    """Pictures of a camera arrive two at once."""
+    times_s = [0.066 * (k // 2 + 1) + 0.0003 * (k % 2) for k in range(12)]
+    lines = [f"{k},{time_s:.6f}" for k, time_s in enumerate(times_s)]
+    (folder / "cam1.csv").write_text("\n".join(["frame,time_s", *lines]) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("fault", "said", "silent"),
+    [
+        (woven, "wrong: pictures of cam0, cam2 are woven of two instants", ("cam0", "cam2")),
+        (arrived, "wrong: cam1: pictures arrive in bursts of 2 every 66 ms", ("cam1",)),
+    ],
+)
+def test_what_pictures_and_stamps_are_is_noted_by_a_run(
+    still: Path, tmp_path: Path, fault: Callable[[Path], None], said: str, silent: Sequence[str]
+) -> None:
+    """And asked no more whether the camera was moved or its clock is off."""
+    shutil.copytree(still, tmp_path / "still")
+    fault(tmp_path / "still")
+    options = api.RunOptions(recording=False)
+    out, registry = tmp_path / "run", Registry.discover()
+    summary = api.run(tmp_path / "still", out, api.load_profile(), registry, options)
+    assert [note for note in summary.notes if note.startswith(said)]
+    wrong = [note for note in summary.notes if note.startswith("wrong: ")]
+    assert len([note for note in wrong if any(name in note for name in silent)]) == 1
+    flags = sum(n for reason, n in summary.reasons.items() if "woven" in reason)
+    assert (flags > summary.frame_sets / 2) == (fault is woven)
 
 
 def test_a_right_rig_has_nothing_wrong(still: Path, measured) -> None:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.checking.pictures import CombCount
+from measure.measuring.woven_images import WovenImages, woven_cameras
 from measure.model import Detection, FrameSet, Image
 
 BALL = Detection("red", "cam0", 0.0, np.array([80.0, 60.0]), 30.0, 0.01 * np.eye(2))
@@ -32,8 +32,8 @@ def noisy() -> np.ndarray:
 
 @pytest.mark.parametrize(("pixels", "told"), [(picture(0.0), 0), (woven(), 1), (noisy(), 0)])
 def test_pictures_woven_of_two_instants_are_told_from_noise(pixels: np.ndarray, told: int) -> None:
-    count = CombCount()
+    images = WovenImages()
     for index in range(4):
         image = Image("cam0", index, index / 30, lambda: pixels)
-        count.add(FrameSet(index, index / 30, {"cam0": image}), [BALL])
-    assert len(count.causes()) == told
+        images.add(FrameSet(index, index / 30, {"cam0": image}), [BALL])
+    assert images.cameras == woven_cameras(["", images.flag]) == ["cam0"] * told
