@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration.procedure import RigCalibration
-from measure.calibration.starts import mm_per_px
+from measure.calibration.starts import ZOOMED, ZOOMED_CURE, mark_rms, mm_per_px, zoomed
 from measure.checking import Finding, Level
 from measure.errors import DegenerateGeometryError
 from measure.geometry import Rays, nearest_point
@@ -57,6 +58,9 @@ _MAX_STRETCH = 0.002  # Of a board: half of it is an error of all lengths
 _MAX_BOW_MM = 0.4  # 1 mm in a board of 225 mm makes 0.15 mm of the pose's error
 _MIN_COVERED_SHARE = 0.4
 _NOTED_DISAGREEMENT_MM = 0.5
+_ZOOM_ASKED_MM, _ZOOM_LEAVES = 0.3, 0.4
+"""Disagreement from which a zoom is thought of, and the share of it, in px, that one leaves. Boards
+that were moved by millimetres leave more."""
 _STANDS_OUT_RATIO = 3.0
 """A camera whose board and markers disagree by so many times what the others' do stands out."""
 
@@ -79,6 +83,27 @@ def mark_findings(rig: RigCalibration) -> list[Finding]:
                 text = f"marker {name} left out: {reason}"
                 findings.append(Finding(Level.NOTE, "marks", text, camera.name))
     return findings
+
+
+def zoomed_cameras(rig: RigCalibration) -> dict[str, float]:
+    """Cameras whose board and markers disagree, but for so large pictures."""
+    out, seen = {}, rig.observations
+    for start in rig.cameras_before:
+        if rig.disagreement_mm.get(start.name, 0.0) > _ZOOM_ASKED_MM:
+            marks = seen.marks[start.name]
+            zoom, left = zoomed(start, seen.boards[start.name], rig.markers, marks)
+            if left < _ZOOM_LEAVES * mark_rms(start, rig.markers.points, marks):
+                out[start.name] = zoom
+    return out
+
+
+def zoom_findings(zooms: Mapping[str, float]) -> list[Finding]:
+    """A line on them."""
+    if not zooms:
+        return []
+    zoom = float(np.median(list(zooms.values())))
+    text = f"{', '.join(zooms)}: {ZOOMED.format(zoom=zoom)}: {ZOOMED_CURE}"
+    return [Finding(Level.WRONG, "lens", text)]
 
 
 def disagreement_findings(rig: RigCalibration) -> list[Finding]:

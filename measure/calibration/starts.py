@@ -264,6 +264,8 @@ class _Contradiction:
                 text = f"it fits squares of about {scale:.2f} times the stated size"
                 left = self._misfit(mine, pose, float(scale))
                 yield left, f"{text}: check square_mm"
+        zoom, left = zoomed(self.start, own, self.markers, self.marks)
+        yield left, f"{ZOOMED.format(zoom=zoom)}: {ZOOMED_CURE}"
         for unit, in_mm in _UNITS_MM.items():
             text = f"the markers' places are in {unit} (with mm they fit): write mm"
             yield mark_rms(self.start, in_mm * self.markers.points, self.marks), text
@@ -282,6 +284,30 @@ class _Contradiction:
         pose = board_pose(self.start.intrinsics, points, corners.pixels)
         camera = replace(self.start, world_from_camera=world_from_board @ pose.inverse())
         return mark_rms(camera, self.markers.points, self.marks)
+
+
+ZOOMED = "board and marks fit pictures {zoom:.3f} times as large as the lens was calibrated with"
+ZOOMED_CURE = (
+    "zoom, focus or crop changed in between; take lens and pose pictures anew with the same, "
+    "auto-focus off"
+)
+_ZOOMS = np.geomspace(0.6, 1.6, 197)
+
+
+def zoomed(
+    start: Camera, seen: BoardObservation, markers: MarkerField, marks: MarkerObservation
+) -> tuple[float, float]:
+    """How much larger pictures of board and markers make both agree best; and px RMS left then."""
+    lens, middle = start.intrinsics, (np.array(start.intrinsics.size_wh) - 1) / 2
+
+    def left(zoom: float) -> float:
+        corners, own = (middle + (p - middle) / zoom for p in (seen.corners.pixels, marks.pixels))
+        camera_from_board = board_pose(lens, seen.points, corners)
+        pose = seen.world_from_board @ camera_from_board.inverse()
+        camera = replace(start, world_from_camera=pose)
+        return mark_rms(camera, markers.points, replace(marks, pixels=own))
+
+    return min(((float(zoom), left(float(zoom))) for zoom in _ZOOMS), key=lambda one: one[1])
 
 
 def _permuted(start: Camera, markers: MarkerField, marks: MarkerObservation) -> str:

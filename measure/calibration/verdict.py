@@ -20,6 +20,8 @@ from measure.calibration.findings import (
     mark_findings,
     plausibility,
     workspace_of,
+    zoom_findings,
+    zoomed_cameras,
 )
 from measure.calibration.procedure import RigCalibration
 from measure.calibration.rig_problem import MarkerObservation, RigObservations
@@ -73,7 +75,10 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
     held_out_px, held_out_mm = _held_out(rig)
     scale, scale_findings = _scale(rig)
     findings = plausibility(rig.cameras, workspace, floor_z_mm)
-    findings += mark_findings(rig) + disagreement_findings(rig) + scale_findings
+    zooms = zoomed_cameras(rig)
+    apart = mark_findings(rig) + disagreement_findings(rig)
+    findings += zoom_findings(zooms) + [f for f in apart if f.camera not in zooms]
+    findings += scale_findings
     findings += board_findings(rig) + lens_findings(rig)
     findings += accuracy_findings(position)
     return Verdict(

@@ -114,6 +114,20 @@ def mirrored(picture: Bytes) -> Bytes:
     return np.asarray(cv2.flip(picture, 1), np.uint8)
 
 
+MIDDLE = np.array([639.5, 359.5])
+
+
+def zoomed(zoom: float) -> Picture:
+    """So many times as large, about the middle."""
+
+    def change(picture: Bytes) -> Bytes:
+        size = (picture.shape[1], picture.shape[0])
+        by = np.hstack([zoom * np.eye(2), (1 - zoom) * MIDDLE[:, None]]).astype(np.float32)
+        return np.asarray(cv2.warpAffine(picture, by, size, flags=cv2.INTER_CUBIC), np.uint8)
+
+    return change
+
+
 def turned(degrees: float, axis: int) -> Picture:
     """As seen after the camera turned about its own x (0), y (1) or z (2) axis."""
 

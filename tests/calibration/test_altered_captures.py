@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from measure import api
 from measure.cli import main
 from measure.errors import CalibrationError
 from measure.session import read_calibration
-from tests.calibration.altered import AlteredCapture, cost_mm, mirrored, turned
+from tests.calibration.altered import MIDDLE, AlteredCapture, cost_mm, mirrored, turned, zoomed
 from tests.calibration.test_crosses import picture
 
 ALL = ("cam0", "cam1", "cam2", "cam3")
@@ -269,6 +270,25 @@ def test_camera_turned_half_a_degree_between_its_pictures(altered, capsys) -> No
     capture.without_hand_marks()
     capture.change_picture("cam1_markers.jpg", turned(0.5, 1))
     assert "cam1: board and markers disagree by 4" in refusal(capture, capsys)
+
+
+@pytest.mark.parametrize("zoom", [0.97, 1.04, 1.25])
+def test_pictures_of_another_zoom_than_the_lens_was_calibrated_with(altered, capsys, zoom) -> None:
+    capture, said = altered("cam1"), "as large as the lens was calibrated with: zoom, focus"
+    for name in ("cam1_board.jpg", "cam1_markers.jpg"):
+        capture.change_picture(name, zoomed(zoom))
+    rows = [row.split(",") for row in capture.lines("marks.csv")[1:]]
+    places = np.array([row[2:] for row in rows], float)
+    places = MIDDLE + zoom * (places - MIDDLE)
+    kept = [f"{r[0]},{r[1]},{u:.3f},{v:.3f}" for r, (u, v) in zip(rows, places, strict=True)]
+    capture.write("marks.csv", "\n".join(["camera,name,u_px,v_px", *kept]) + "\n")
+    if zoom > 1.1:
+        assert "fit pictures 1.25" in (line := refusal(capture, capsys))
+        assert said in line
+        return
+    first, *others = written(capture)["findings"]
+    assert re.match(rf"wrong: cam1: board and marks fit pictures {zoom:.2f}\d times {said}", first)
+    assert not [text for text in others if "mark again" in text or "disagree" in text]
 
 
 @pytest.mark.parametrize(("by_hand", "degrees", "axis"), [(True, 0.5, 2), (False, 0.1, 0)])
