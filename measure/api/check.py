@@ -39,6 +39,7 @@ from measure.checking.coverage import disagreeing_causes
 from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose_recording
 from measure.checking.motion import MotionCheck, check_motion, flag_findings
 from measure.checking.pictures import gaps_alone, stamp_causes, woven_causes
+from measure.checking.search import loose_sample
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
@@ -159,6 +160,12 @@ def _together(
     return beside(pictures, rest)
 
 
+def _seen(searched: Sequence[SearchSample]) -> int:
+    """How many sightings of balls agree with a pose."""
+    return sum(len(sample.agreeing) for sample in searched)
+
+
+_BETTER = 1.5  # Times as many sightings make another search believed
 _MOST = 0.5  # Share of what is seen that a cause explains, from which it needs no second opinion
 _FIRST_OF_ALL = (Word.EXCHANGED_CAMERAS, Word.MIRRORED, Word.EXCHANGED_CHANNELS)
 """Pictures that are not what their camera sees: nothing else is judged before."""
@@ -318,17 +325,19 @@ class _Looking:
         shape: BodyCheck,
     ) -> Diagnosis:
         body, cameras = self.session.body, self.session.cameras
-        found_in = sum(sample.world_from_body is not None for sample in searched)
-        if shape.factor is not None and found_in < len(searched) / 2:
-            # As large as it looks the body is found, though the file or the calibration errs.
-            sizes = shape.factor * body.radii
-            grown = body.with_centers(shape.factor * body.centers)
-            grown = grown.with_radii(sizes, body.radius_covariance)
-            searched = [
-                search_sample(one, grown, cameras, sample.time_s)
+        if shape.factor or (not shape.causes and _seen(searched) < len(searched)):
+            # As large as it looks the body is found, though the file or the calibration errs; and
+            # where cameras stand far from where they should, if rays need not meet.
+            factor = shape.factor or 1.0
+            grown = body.with_centers(factor * body.centers)
+            grown = grown.with_radii(factor * body.radii, body.radius_covariance)
+            search = search_sample if shape.factor else loose_sample
+            again = [
+                search(one, grown, cameras, sample.time_s)
                 for one, sample in zip(found, searched, strict=True)
             ]
-            measured = ()
+            if _seen(again) > _BETTER * _seen(searched):
+                searched, measured = again, ()
         gaps_s = gaps_alone({name: s.times_s for name, s in self.session.streams.items()})
         return diagnose_recording(
             (searched, found), measured, body, cameras, gaps_s, squares=self._squares

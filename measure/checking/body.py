@@ -279,7 +279,7 @@ class BodyCheck:
     def factor(self) -> float | None:
         """About how many times larger the body looks, if distances disagree with the file."""
         ratios = np.array([d.measured_mm / d.file_mm for d in self.distances])
-        if len(ratios) < 2 or all(d.agrees for d in self.distances):
+        if all(d.agrees for d in self.distances):
             return None
         alike = np.ptp(ratios) < _ALIKE_SHARE * np.median(ratios)
         return float(np.median(ratios)) if alike else None

@@ -116,12 +116,17 @@ def _off_s(evidence: Evidence, one: Explanation) -> float:
 
 
 def _without_consequences(found: Sequence[Explanation]) -> list[Explanation]:
-    """All but where a zoomed camera points: it zooms about another point than the principal one."""
-    zoomed, out = set[str](), []
+    """All but where a zoomed camera points, and one whose clock steps from then on.
+
+    It zooms about another point than the principal one; and it sees what moves elsewhere.
+    """
+    said, out = set[tuple[Word, str]](), []
     for one in found:
         word, of = one.hypothesis.word, one.hypothesis.of
-        zoomed |= {of} if word is Word.ZOOM else set()
-        if not (word in (Word.MOVED, Word.POINT) and zoomed & {of, ""}):
+        said.add((word, of))
+        zoomed = said & {(Word.ZOOM, of), (Word.ZOOM, "")}
+        stepped = word is Word.MOVED_AT and (Word.CLOCK_STEP, of) in said
+        if not (stepped or (word in (Word.MOVED, Word.POINT) and zoomed)):
             out.append(one)
     return out
 

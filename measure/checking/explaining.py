@@ -32,9 +32,10 @@ _BOUNDED = (Word.RADIUS, Word.SCALE)
 _RIVAL_SHARE, _RIVAL_GAIN, _RIVAL_LEFT = 0.1, 16.0, 0.5
 """What gains less than the best by no more than this share, or this much, is as good if it is
 simpler; and what leaves less than this, or than twice what the best leaves, is a rival."""
-_RARE_PRICE = 15.0
-"""Of the principal point of one camera, in chi-square: cameras are touched far more often. So much
-less costs a clock that steps where its stamps have a gap."""
+_RARE_PRICE, _GAP_SHARE = 15.0, 0.25
+"""Of principal points, in chi-square: cameras are touched far more often. So much less costs a
+clock that steps where its stamps have a gap, and so much less it may gain: while the body turns,
+where it was a tenth of a second later is known badly."""
 _BLOCKS, _ITERATIONS, _REFINED = 8, 8, 10
 _MIN_INSTANTS, _MIN_PART = 4, 3
 """Least number of instants; and before and after the one at which something changes."""
@@ -131,9 +132,14 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
         return None
     noise = max(1.0, min(fit.left for fit in fits))
     most = max(here.cost - fit.cost for fit in fits)
-    least = most - max(_RIVAL_GAIN * noise, _RIVAL_SHARE * most)
-    alike = [fit for fit in fits if here.cost - fit.cost >= least]
-    alike.sort(key=lambda fit: (_price(fit.hypotheses[-1], evidence), fit.cost))
+    prices = {id(fit): _price(fit.hypotheses[-1], evidence) for fit in fits}
+    shares = {id(fit): _GAP_SHARE if prices[id(fit)] < 0 else _RIVAL_SHARE for fit in fits}
+    alike = [
+        fit
+        for fit in fits
+        if here.cost - fit.cost >= most - max(_RIVAL_GAIN * noise, shares[id(fit)] * most)
+    ]
+    alike.sort(key=lambda fit: (prices[id(fit)], fit.cost))
     best, *others = alike
     gain = here.cost - best.cost
     if gain / noise < _price(best.hypotheses[-1], evidence):
@@ -160,7 +166,7 @@ def _threshold(share: float, fit: Fit) -> float:
 
 def _price(one: Hypothesis, evidence: Evidence) -> float:
     """Of its parameters, in chi-square (Bayesian information criterion)."""
-    rare = _RARE_PRICE if one.word is Word.POINT and one.of else 0.0
+    rare = _RARE_PRICE if one.word is Word.POINT else 0.0
     if one.word is Word.CLOCK_STEP and evidence.has_gap(one.of, one.since or 0):
         rare = -_RARE_PRICE
     count = one.basis.shape[1] + (one.since is not None)

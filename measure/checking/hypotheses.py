@@ -73,6 +73,12 @@ def hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
         if len(cameras) > 2:
             pose = evidence.of_camera(index, SHIFT) + evidence.of_camera(index, TURN)
             yield Hypothesis(Word.MOVED, camera.name, columns(*pose))
+    enlarged = np.zeros((size, 1))
+    for index, camera in enumerate(cameras):
+        own = _enlarged(evidence, index)
+        enlarged += own
+        yield Hypothesis(Word.ZOOM, camera.name, own)
+    yield Hypothesis(Word.ZOOM, "", enlarged)
     yield Hypothesis(Word.ZOOM, "", together(FOCAL))
     yield Hypothesis(Word.POINT, "", together(POINT))
     yield Hypothesis(Word.ROLLING, "", together(ROLL))
@@ -99,6 +105,18 @@ def _determined(body: Body, ball: int) -> Floats:
         return np.eye(3)
     aside = np.cross(axes[0], body.centers[ball] - middle)
     return np.asarray(np.linalg.svd(aside[None])[2][1:].T)
+
+
+def _enlarged(evidence: Evidence, index: int) -> Floats:
+    """The column (p, 1) of pictures enlarged about their middle, as another crop or resolution is.
+
+    A lens enlarges about the principal point.
+    """
+    lens, out = evidence.cameras[index].intrinsics, np.zeros((evidence.size, 1))
+    out[evidence.of_camera(index, FOCAL)] = 1.0
+    middle = (np.array(lens.size_wh) - 1) / 2
+    out[evidence.of_camera(index, POINT), 0] = lens.matrix[:2, 2] - middle
+    return out
 
 
 def of_camera(evidence: Evidence, index: int, name: str) -> Iterator[Hypothesis]:

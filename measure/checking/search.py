@@ -15,6 +15,7 @@ from measure.model import Body, Camera, Detection
 
 _RADIUS_RATIO = 1.25
 _REACH_PX = 80.0  # Largest distance of a candidate from where the ball should be
+_LOOSE_PX = 25.0  # By which two cameras may contradict each other where no two agree
 _MAX_STEP_S = 0.12  # Longest time between two samples that give a velocity
 
 
@@ -55,6 +56,26 @@ def with_velocities(samples: Sequence[SearchSample]) -> list[SearchSample]:
         step = other.world_from_body.difference(sample.world_from_body)
         out.append(replace(sample, velocity=step / (other.time_s - sample.time_s)))
     return out
+
+
+def loose_sample(
+    detections: Mapping[str, Sequence[Detection]],
+    body: Body,
+    cameras: Sequence[Camera],
+    time_s: float,
+) -> SearchSample:
+    """`search_sample` of cameras that stand far from where they should: rays need not meet."""
+    stated = {}
+    vague = dict[str, list[Detection]]()
+    for name, own in detections.items():
+        spread = _LOOSE_PX**2 * np.eye(2)
+        vague[name] = [replace(d, covariance_px=d.covariance_px + spread) for d in own]
+        stated |= {id(loose): d for loose, d in zip(vague[name], own, strict=True)}
+    sample = search_sample(vague, body, cameras, time_s)
+    agreeing, nearest = (
+        tuple(stated[id(d)] for d in found) for found in (sample.agreeing, sample.nearest)
+    )
+    return replace(sample, agreeing=agreeing, nearest=nearest)
 
 
 def search_sample(
