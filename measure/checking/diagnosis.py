@@ -236,16 +236,19 @@ def clock_cause(camera: str, ahead_s: float, rest: CameraClock | None) -> Cause:
 
 
 def _clock_step(part: _Search) -> _Told:
-    off_s = float(part.values[0])
+    off_s, sd_s = float(part.values[0]), part.sd
+    gap_s = part.evidence.gap_s(part.who, part.hypothesis.since or 0)
+    if gap_s and abs(off_s + gap_s) < gap_s / 2:  # the stamps themselves say how much
+        off_s, sd_s = -gap_s, 2 * _CLOCK_NAMED_S
     text = (
-        f"{part.who}: the clock steps by {-1e3 * off_s:+.0f} +- {1e3 * part.sd:.0f} ms at about "
+        f"{part.who}: the clock steps by {-1e3 * off_s:+.0f} +- {1e3 * sd_s:.0f} ms at about "
         f"{part.since}"
     )
     remedy = (
         f"add {off_s:+.4f} s to its stamps from there on; a dropped second, a reconnect or a clock "
         "that was set does this"
     )
-    return -1e3 * off_s, 1e3 * part.sd, "ms", text, remedy
+    return -1e3 * off_s, 1e3 * sd_s, "ms", text, remedy
 
 
 def _turn_deg(part: _Search) -> tuple[float, float, float]:

@@ -83,7 +83,7 @@ class Evidence:
     whitening: Floats  # (n, 3, 3) inverse of a square root of their covariance
     lead_s: Floats  # (n,) stamp of the picture after the instant
     systematic_px: float  # of their error, what is alike from one to the next
-    # by camera, the times at which its stamps, and no other's, have a gap.
+    # by camera (k, 2), when its stamps, and no other's, have a gap, and how much of one.
     gaps_s: Mapping[str, Floats] = field(default_factory=dict)
 
     @classmethod
@@ -136,11 +136,11 @@ class Evidence:
         """The number of parameters of the rig."""
         return PER_CAMERA * len(self.cameras) + SHARED + 4 * len(self.body.balls)
 
-    def has_gap(self, camera: str, instant: int) -> bool:
-        """Whether a camera's stamps have a gap before an instant, after the two before that."""
+    def gap_s(self, camera: str, instant: int) -> float:
+        """By how much a camera's stamps jump before an instant, after the two before that."""
         first, last = self.times_s[max(instant - 2, 0)], self.times_s[instant]
-        gaps = self.gaps_s.get(camera, np.zeros(0))
-        return bool(np.any((gaps >= first) & (gaps <= last)))
+        gaps = self.gaps_s.get(camera, np.zeros((0, 2)))
+        return float(np.max(gaps[(gaps[:, 0] >= first) & (gaps[:, 0] <= last), 1], initial=0.0))
 
     def of_camera(self, camera: int, what: slice) -> list[int]:
         """The columns of some of a camera's parameters."""

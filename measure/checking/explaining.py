@@ -127,22 +127,17 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
             best_of[key] = score, hypothesis
     ranked = sorted(best_of.values(), key=lambda pair: -pair[0])[:_REFINED]
     fits = [fitted(evidence, (*here.hypotheses, h), here) for _, h in ranked]
-    fits = [fit for fit in fits if fit.plausible and fit.significance > _threshold(_WEAK, fit)]
+    fits = [f for f in fits if f.plausible and (_at_gap(evidence, f) or _shows(f, _WEAK))]
     if not fits:
         return None
     noise = max(1.0, min(fit.left for fit in fits))
     most = max(here.cost - fit.cost for fit in fits)
-    prices = {id(fit): _price(fit.hypotheses[-1], evidence) for fit in fits}
-    shares = {id(fit): _GAP_SHARE if prices[id(fit)] < 0 else _RIVAL_SHARE for fit in fits}
-    alike = [
-        fit
-        for fit in fits
-        if here.cost - fit.cost >= most - max(_RIVAL_GAIN * noise, shares[id(fit)] * most)
-    ]
-    alike.sort(key=lambda fit: (prices[id(fit)], fit.cost))
+    alike = [fit for fit in fits if here.cost - fit.cost >= _enough(evidence, fit, most, noise)]
+    alike.sort(key=lambda fit: (_price(fit.hypotheses[-1], evidence), fit.cost))
     best, *others = alike
     gain = here.cost - best.cost
-    if gain / noise < _price(best.hypotheses[-1], evidence):
+    price = max(_price(best.hypotheses[-1], evidence), _RARE_PRICE * _at_gap(evidence, best))
+    if gain / noise < price:
         return None
     own = {(best.hypotheses[-1].word, best.hypotheses[-1].of)}
     own.add((MIDWAY.get(best.hypotheses[-1].word, Word.UNKNOWN), best.hypotheses[-1].of))
@@ -153,21 +148,36 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
             own.add(name)
             rivals.append(fit)
     left = max(here.cost - best.freedom, gain)
-    wrong = best.significance > _threshold(_WRONG, best)
+    wrong = _at_gap(evidence, best) or _shows(best, _WRONG)
     return Explanation(best, wrong, gain / max(left, 1e-9), tuple(rivals))
 
 
-def _threshold(share: float, fit: Fit) -> float:
+def _shows(fit: Fit, share: float) -> bool:
+    """Whether the last hypothesis is further from nothing than so much of a normal variable."""
     last = fit.hypotheses[-1]
     if last.word in _BOUNDED:
         share = {_WEAK: _SIZE, _WRONG: _WEAK}[share]
-    return chi_square_quantile(share, last.basis.shape[1])
+    return fit.significance > chi_square_quantile(share, last.basis.shape[1])
+
+
+def _enough(evidence: Evidence, fit: Fit, most: float, noise: float) -> float:
+    """The gain in chi-square from which it explains as much as what gains most."""
+    share = _GAP_SHARE if _at_gap(evidence, fit) else _RIVAL_SHARE
+    return most - max(_RIVAL_GAIN * noise, share * most)
+
+
+def _at_gap(evidence: Evidence, fit: Fit) -> bool:
+    """Whether it is a clock that steps by about as much as its stamps do there."""
+    last = fit.hypotheses[-1]
+    step = last.word is Word.CLOCK_STEP
+    gap_s = evidence.gap_s(last.of, last.since or 0) if step else 0.0
+    return abs(fit.last()[0][0] + gap_s) < gap_s / 2
 
 
 def _price(one: Hypothesis, evidence: Evidence) -> float:
     """Of its parameters, in chi-square (Bayesian information criterion)."""
     rare = _RARE_PRICE if one.word is Word.POINT else 0.0
-    if one.word is Word.CLOCK_STEP and evidence.has_gap(one.of, one.since or 0):
+    if one.word is Word.CLOCK_STEP and evidence.gap_s(one.of, one.since or 0):
         rare = -_RARE_PRICE
     count = one.basis.shape[1] + (one.since is not None)
     return count * float(np.log(3 * len(evidence))) + rare

@@ -189,15 +189,19 @@ def _even(steps: Floats) -> bool:
 
 
 def gaps_alone(times_s: Mapping[str, Floats]) -> dict[str, Floats]:
-    """By camera, when its stamps have a gap in which others have pictures of their own."""
+    """By camera (k, 2) when its stamps have a gap in which others have pictures of their own.
+
+    And by how much it is longer than a step.
+    """
     out = dict[str, Floats]()
     for name, own in times_s.items():
         others = np.sort(np.concatenate([t for n, t in times_s.items() if n != name] or [own]))
         steps = np.diff(own)
-        wide = steps > _DROPPED_STEPS * (np.median(steps) if len(steps) else 0.0)
+        period = float(np.median(steps)) if len(steps) else 0.0
+        wide = steps > _DROPPED_STEPS * period
         first, last = own[:-1][wide], own[1:][wide]
         inside = np.searchsorted(others, last) - np.searchsorted(others, first, side="right")
-        out[name] = first[inside > 0]
+        out[name] = np.stack([first, last - first - period], axis=1)[inside > 0]
     return out
 
 

@@ -65,7 +65,7 @@ def loose_sample(
     time_s: float,
 ) -> SearchSample:
     """`search_sample` of cameras that stand far from where they should: rays need not meet."""
-    stated = {}
+    stated = dict[int, Detection]()
     vague = dict[str, list[Detection]]()
     for name, own in detections.items():
         spread = _LOOSE_PX**2 * np.eye(2)

@@ -17,7 +17,7 @@ from measure.checking.causes import Cause, Word, beside
 from measure.checking.diagnosis import diagnose
 from measure.checking.evidence import Evidence, Sighting
 from measure.checking.finding import Level
-from measure.checking.pictures import woven_causes
+from measure.checking.pictures import gaps_alone, woven_causes
 from measure.checking.sightings import MOST_INSTANTS
 from measure.geometry import RigidTransform
 from measure.measuring.ball_radii import outline_growth
@@ -114,7 +114,8 @@ def rig_notes(
     """
     seen, sightings = _sightings(detections, poses)
     enough = len(sightings) >= MIN_FRAME_SETS
-    evidence = Evidence.of(sightings, body, cameras) if enough else None
+    gaps_s = gaps_alone({camera.name: _stamps(detections, camera.name) for camera in cameras})
+    evidence = Evidence.of(sightings, body, cameras, gaps_s=gaps_s) if enough else None
     causes = [_told(cause, evidence) for cause in diagnose(evidence).causes if evidence]
     reasons = filter(None, pc.unique(poses["reason"]).to_pylist())
     woven = woven_causes(woven_cameras(list(reasons)), len(cameras))
@@ -128,6 +129,12 @@ def rig_notes(
     ]
     findings = (*(cause.finding for cause in causes), *twin_findings(body))
     return (*told, *map(str, findings))
+
+
+def _stamps(detections: pa.Table, camera: str) -> Floats:
+    """Times (n,) of a camera's pictures."""
+    own = detections.filter(pc.equal(detections["camera"], camera))["time_s"]
+    return np.unique(own.drop_null().to_numpy())
 
 
 def _told(cause: Cause, evidence: Evidence) -> Cause:

@@ -10,6 +10,7 @@ import pytest
 from measure.checking import Level, search_sample, with_velocities
 from measure.checking.causes import ALL, Word
 from measure.checking.diagnosis import diagnose
+from measure.checking.search import loose_sample
 from measure.checking.sightings import evidence_of
 from measure.geometry import RigidTransform
 from tests.scenes import RAVEN, TARGET, moved, ring, see
@@ -26,7 +27,13 @@ def path(time_s):
 
 
 def diagnosed(
-    real=lambda k: CAMERAS, stated=None, body=RAVEN, late=lambda k: np.zeros(4), gaps=None, seed=0
+    real=lambda k: CAMERAS,
+    stated=None,
+    body=RAVEN,
+    late=lambda k: np.zeros(4),
+    gaps=None,
+    seed=0,
+    search=search_sample,
 ):
     """`real(k)` says where cameras truly stand; `late(k)` how late their stamps are, in s."""
     cameras = list((stated or CAMERAS).values())
@@ -39,7 +46,7 @@ def diagnosed(
         names = [camera.name for camera in cameras]
         found.append({name: [d for d in seen if d.camera == name] for name in names})
         time_s = float(np.median([stamps[name] for name in names]))
-        samples.append(search_sample(found[-1], body, cameras, time_s))
+        samples.append(search(found[-1], body, cameras, time_s))
     evidence = evidence_of(with_velocities(samples), found, (), body, cameras, gaps)
     return diagnose(evidence)
 
@@ -102,9 +109,11 @@ def test_a_clock_is_told_from_a_turn(late_s, name):
 
 def test_a_clock_that_steps_is_no_moved_camera():
     one = np.array([0.0, 0.1, 0.0, 0.0])
-    cause = first(diagnosed(late=lambda k: one * (k >= 12), gaps={"cam1": np.array([11 / RATE])}))
+    gaps = {"cam1": np.array([[11 / RATE, 0.1]])}
+    cause = first(diagnosed(late=lambda k: one * (k >= 12), gaps=gaps))
     assert (cause.cause, cause.of) == (Word.CLOCK_STEP, "cam1")
     assert cause.estimate == pytest.approx(100, abs=5)
+    assert not diagnosed(gaps=gaps).causes, "pictures were lost, and its clock is right"
 
 
 @pytest.mark.parametrize("share", [0.02, -0.1])
@@ -152,6 +161,19 @@ def test_of_two_cameras_either_may_be_wrong():
     found = diagnosed(stated=two, real=lambda k: turned("cam1", [0.004, 0, 0]))
     if found.causes:
         assert any("cam0" in rival or "cam1" in rival for rival in first(found).rivals)
+
+
+@pytest.mark.parametrize("other", ["cam1", "cam2"])
+def test_of_two_cameras_one_stands_14_mm_off(other):
+    """No two rays meet: the body is found only if they need not."""
+    camera = CAMERAS[other]
+    step = camera.world_from_camera.rotate(np.array([14.0, 0, 0]))
+    there = moved(camera, camera.world_from_camera.perturb([*step, 0, 0, 0]))
+    two, real = {"cam0": CAMERAS["cam0"], other: camera}, lambda k: {**CAMERAS, other: there}
+    assert not diagnosed(stated=two, real=real).causes
+    cause = first(diagnosed(stated=two, real=real, search=loose_sample))
+    assert cause.cause is Word.MOVED
+    assert other in cause.of or f"moved of {other}" in cause.rivals
 
 
 def test_what_nothing_explains_is_unknown():
