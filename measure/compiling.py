@@ -83,6 +83,7 @@ def _imported(module: str, file: str) -> list[str]:
 
 
 _FOR_NOW = "triball-code-"  # How temporary folders for machine code are called
+_OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Loops here run over a few dozen rays or points. Unrolled they compile 20 % and run 5 % slower.
@@ -119,7 +120,7 @@ def folded(function: F) -> F:
 
 def inlined(function: F) -> F:
     """Compile a function into its compiled callers only; no machine code of its own is kept."""
-    kernel = numba.njit(nogil=True, error_model="numpy", forceinline=True)(function)
+    kernel = numba.njit(forceinline=True, **_OPTIONS)(function)
     return cast("F", _of_plain_types(kernel))
 
 
@@ -142,7 +143,7 @@ def share_compiled(since_s: float) -> float:
 
 
 def _kept_on_disk(function: F, **options: str) -> F:
-    compile_it = numba.njit(cache=True, nogil=True, error_model="numpy", **options)
+    compile_it = numba.njit(cache=True, **_OPTIONS, **options)
     try:
         kernel = compile_it(function)
     except RuntimeError:  # Neither the installation nor the user's folder can be written

@@ -1,4 +1,4 @@
-"""A second process compiles the later stages while this one compiles the detectors."""
+"""A second process compiles the same from the other end: what it has done is only loaded here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 import pickle
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
@@ -23,25 +22,23 @@ from measure.processes import usable_cores
 def second_compiler(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> Iterator[None]:
-    """Compile all stages but the detectors in a second process, which fills the cache on disk.
+    """Compile the last stages first in a second process, which fills the cache on disk.
 
     It starts when numba first compiles inside the block, so never where the cache is complete.
     """
-    process, failed = SecondCompiler((profile, registry, body, cameras)), True
+    process = SecondCompiler((profile, registry, body, cameras))
     try:
         with event.install_listener("numba:compile", process):
             yield
-        failed = False
     finally:
-        process.end(at_once=failed)
+        process.end()
 
 
 class SecondCompiler(event.Listener):  # type: ignore[misc]
     """Starts the process at numba's first compilation, and ends it.
 
     None is started on a single core, in a frozen program (which is no interpreter), or with plugins
-    that cannot be pickled. One that hangs, say on a device that this process holds, is killed: only
-    time is lost.
+    that cannot be pickled.
 
     Attributes:
         process: the running or ended process; None if none was started.
@@ -51,7 +48,6 @@ class SecondCompiler(event.Listener):  # type: ignore[misc]
         alone = usable_cores() == 1 or getattr(sys, "frozen", False)
         self._work: tuple[object, ...] | None = None if alone else work
         self.process: subprocess.Popen[bytes] | None = None
-        self._begun_s = time.monotonic()
 
     def on_start(self, event: object) -> None:  # noqa: ARG002
         """Called by numba when it begins to compile a function."""
@@ -74,16 +70,12 @@ class SecondCompiler(event.Listener):  # type: ignore[misc]
     def on_end(self, event: object) -> None:
         """Called by numba after each function."""
 
-    def end(self, at_once: bool) -> None:
-        """Kill the process, after waiting as long as the detectors took unless `at_once`."""
-        if self.process is None:
-            return
-        try:
-            self.process.wait(0.0 if at_once else time.monotonic() - self._begun_s)
-        except subprocess.TimeoutExpired:
+    def end(self) -> None:
+        """Kill the process: what it still compiles is there by now, or is not needed."""
+        if self.process is not None:
             self.process.kill()
             self.process.wait()
 
 
 def _compile() -> None:
-    build_pipeline(*pickle.load(sys.stdin.buffer)).warm_up_what_follows()
+    build_pipeline(*pickle.load(sys.stdin.buffer)).warm_up(backwards=True)

@@ -33,13 +33,12 @@ def warm_pipeline(
 def compile_pipeline(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> Pipeline:
-    """`warm_pipeline` without the notice; a second process compiles the later stages."""
+    """`warm_pipeline` without the notice; a second process begins with the last stages."""
     from measure.api.second_compiler import second_compiler
 
     pipeline = build_pipeline(profile, registry, body, cameras)
     with second_compiler(profile, registry, body, cameras):
-        pipeline.warm_up_detectors()
-    pipeline.warm_up_what_follows()
+        pipeline.warm_up()
     return pipeline
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 from measure.host.settings import Settings
@@ -26,6 +26,10 @@ class Plugin(ABC):
 
     def warm_up(self) -> None:  # noqa: B027 - most plugins have nothing to do here
         """Compile or load what is slow, before the first frame is timed or waited for."""
+
+    def warm_up_parts(self) -> Sequence[Callable[[], object]]:
+        """`warm_up` in parts that may run in either order: two processes share what takes long."""
+        return (self.warm_up,)
 
 
 class Detector(Plugin):

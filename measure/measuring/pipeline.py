@@ -10,7 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import MeasureError
-from measure.host import Detector, PoseSolver, Tracker, Triangulator
+from measure.host import Detector, Plugin, PoseSolver, Tracker, Triangulator
 from measure.measuring import plugin_calls
 from measure.measuring.body_scale import ScaleMonitor
 from measure.measuring.duplicate_images import DuplicateImages, NewImages
@@ -53,21 +53,19 @@ class Pipeline:
         self.stages = stages
         self.others: tuple[Pipeline, ...] = ()
 
-    def warm_up(self) -> None:
-        """Let every stage compile or load what is slow."""
-        self.warm_up_detectors()
-        self.warm_up_what_follows()
+    def warm_up(self, backwards: bool = False) -> None:
+        """Let every stage compile or load what is slow; of the detectors one, as all share it.
 
-    def warm_up_detectors(self) -> None:
-        """One of them: what they compile is shared by all cameras."""
-        for one in list(self.stages.detectors.values())[:1]:
-            plugin_calls.warm_up("detector", one)
-
-    def warm_up_what_follows(self) -> None:
-        """Tracking, triangulation, poses and motion."""
-        self.stages.tracker.warm_up()
-        plugin_calls.warm_up("triangulator", self.stages.triangulator)
-        plugin_calls.warm_up("solver", self.stages.solver)
+        Args:
+            backwards: the last part first, for a process that shares the work with another.
+        """
+        stages, order = self.stages, -1 if backwards else 1
+        plugins: list[tuple[str, Plugin]]
+        plugins = [("detector", one) for one in list(stages.detectors.values())[:1]]
+        plugins += [("triangulator", stages.triangulator), ("solver", stages.solver)]
+        for kind, plugin in plugins[::order]:
+            plugin_calls.warm_up(kind, plugin, order)
+        stages.tracker.warm_up()
 
     def measure(self, frame_sets: Iterable[FrameSet]) -> Generator[Measurement]:
         """Measure frame sets in order of time; yields one measurement for each, in order.

@@ -5,7 +5,7 @@ The checks are those that cost next to nothing: types, shapes and finite numbers
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import isfinite
 
@@ -16,10 +16,11 @@ from measure.host.registry import failure, named
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, Image, Motion, Pose
 
 
-def warm_up(kind: str, plugin: Plugin, part: Callable[[], object] | None = None) -> None:
-    """Let a plugin of a kind, or a part of it, compile what is slow; PluginError if it fails."""
+def warm_up(kind: str, plugin: Plugin, order: int) -> None:
+    """Let a plugin compile what is slow, part by part in order 1 or -1; PluginError if it fails."""
     with named(kind, plugin, "warming up"):
-        (part or plugin.warm_up)()
+        for part in plugin.warm_up_parts()[::order]:
+            part()
 
 
 def detections(

@@ -69,16 +69,16 @@ def _work():
     return load_profile("paper"), Registry.discover(), BODY, CAMERAS
 
 
-def test_second_process_compiles_the_later_stages():
+def test_second_process_compiles_every_stage():
     compiler = _begun_when_compiling(_work())
     compiler.process.wait(60)
-    compiler.end(at_once=False)
+    compiler.end()
     assert compiler.process.returncode == 0
 
 
-def test_a_second_process_is_not_left_behind_by_a_failure():
+def test_a_second_process_is_not_left_behind():
     compiler = _begun_when_compiling(_work())
-    compiler.end(at_once=True)
+    compiler.end()
     assert compiler.process.returncode not in (None, 0)
 
 
@@ -86,5 +86,5 @@ def test_one_core_or_unpicklable_stages_start_no_second_process(monkeypatch):
     assert _begun_when_compiling((lambda: None,)).process is None
     monkeypatch.setattr(second_compiler, "usable_cores", lambda: 1)
     alone = _begun_when_compiling(_work())
-    alone.end(at_once=False)
+    alone.end()
     assert alone.process is None

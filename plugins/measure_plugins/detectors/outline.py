@@ -8,7 +8,7 @@ ellipse's bias. The edge points travel on with the detection, for a joint fit of
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -71,10 +71,12 @@ class OutlineDetector(SelfCalibratingDetector):
         self._balls = KnownBalls(c, body, camera, self._bits, self._table)
 
     def warm_up(self) -> None:
-        """Compile hot loops (seconds, once per machine) by measuring a drawn disc.
+        """Compile hot loops, once per machine."""
+        for part in self.warm_up_parts():
+            part()
 
-        With a detector of its own, whose estimates are of the disc.
-        """
+    def warm_up_parts(self) -> Sequence[Callable[[], object]]:
+        """Measurements of a drawn disc, by a detector of its own: its estimates are of the disc."""
         from measure_plugins import _acquisition
         from measure_plugins.detectors._known_balls import drawn_disc
 
@@ -83,12 +85,14 @@ class OutlineDetector(SelfCalibratingDetector):
         unsized = [replace(one, center_camera=None) for one in expected]
         cones, view = own._balls.cones(expected), own._view(image)
         pixels, cone, now = image.pixels, _cones(cones)[0], own._appearance
-        own._measure(image, expected)
-        own._measure(image, unsized)
-        own._balls.measured_step_gains(view, expected, cones, now)
-        own._self_calibration.warm_up(pixels, cone, now)
-        own._searched(image, ())
-        _acquisition.warm_up()
+        return (
+            lambda: own._measure(image, expected),
+            lambda: own._measure(image, unsized),
+            lambda: own._balls.measured_step_gains(view, expected, cones, now),
+            lambda: own._self_calibration.warm_up(pixels, cone, now),
+            lambda: own._searched(image, ()),
+            _acquisition.warm_up,
+        )
 
     @property
     def needs_burn_in(self) -> bool:
