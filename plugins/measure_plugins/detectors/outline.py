@@ -17,6 +17,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.host import Detector, SelfCalibratingDetector, Settings, hookimpl
 from measure.model import BallColor, Body, Camera, Detection, Expectation, Image
+from measure_plugins.detectors._coarse_color import has_fringes, with_coarse_color
 from measure_plugins.detectors._known_balls import (
     FEWER_RAYS,
     GIVE_UP_SHARE,
@@ -65,6 +66,7 @@ class OutlineDetector(SelfCalibratingDetector):
         turned = camera.world_from_camera.rotation
         self._self_calibration = SelfCalibration(lens, turned, c.rays, c.margin_px)
         self._background: BackgroundEstimation | None = None
+        self._has_fringes: bool | None = None  # of the camera's pictures; None before the first
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._table = with_shade(self._colors)
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
@@ -127,11 +129,18 @@ class OutlineDetector(SelfCalibratingDetector):
         """Measure the expected balls; search the frame for the others."""
         if self._background is not None and (new := self._background.result()) is not None:
             self._set_appearance(new)
+        if expected:
+            image = self._without_fringes(image, expected)
         found = self._measure(image, expected)
         known = {expectation.ball for expectation in expected}
         if len(known) == len(self.body.balls):
             return self._recalibrated(image, expected, found) or found
         return found + self._searched(image, known)
+
+    def _without_fringes(self, image: Image, expected: Sequence[Expectation]) -> Image:
+        if self._has_fringes is None:
+            self._has_fringes = has_fringes(image)
+        return with_coarse_color(image, expected) if self._has_fringes else image
 
     def _searched(self, image: Image, known: Collection[str]) -> list[Detection]:
         """Candidates of balls that are not `known`; each may be any ball of its colour."""
