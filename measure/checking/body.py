@@ -23,9 +23,6 @@ from measure.measuring.ball_radii import OutlineGrowth
 from measure.model import Body, Camera, Detection
 
 _SIGMAS = 4.0
-_SHARED_SIGMAS = 2.5
-"""Gate of an error that all radii share: smaller, as their standard deviations bound the bias of
-edges and are no scatter."""
 _MAX_PLANAR_MM = 1.0
 _SAME_DISTANCE_MM = 1.0
 _MAX_BALLS_PERMUTED = 6
@@ -63,8 +60,6 @@ def layout_causes(distances: Sequence[Compared], body: Body) -> list[Cause]:
     complete = len(distances) == len(body.balls) * (len(body.balls) - 1) // 2
     if complete and (swap := _swap(distances, body)) is not None:
         return [swap]
-    if (factor := scale_of(distances)) is not None:
-        return [_scaled(distances, body, *factor)]
     shared = set.intersection(*(set(d.what) for d in wrong)) if len(wrong) > 1 else set[str]()
     lines = ", ".join(_line(d) for d in wrong)
     ball = shared.pop() if shared else ""
@@ -104,36 +99,9 @@ def _swap(distances: Sequence[Compared], body: Body) -> Cause | None:
     return None
 
 
-def scale_of(distances: Sequence[Compared]) -> tuple[float, float] | None:
-    """One factor that explains all distances, and its standard deviation, if there is one."""
-    if len(distances) < 2 or all(d.agrees for d in distances):
-        return None
-    weights = np.array([(d.file_mm / max(d.sd_mm, 0.05)) ** 2 for d in distances])
-    ratios = np.array([d.measured_mm / d.file_mm for d in distances])
-    factor = float(np.average(ratios, weights=weights))
-    if not all(d.may_be(factor * d.file_mm) for d in distances):
-        return None
-    return factor, float(1 / np.sqrt(weights.sum()))
-
-
-def _scaled(distances: Sequence[Compared], body: Body, factor: float, sd: float) -> Cause:
-    first = distances[0]
-    arm = float(np.linalg.norm(body.centers[0]))
-    text = (
-        f"the balls are {factor:.3f} times as far apart as the body file says "
-        f"({first.what[0]} to {first.what[1]}: {first.measured_mm:.2f} +- {first.sd_mm:.2f} mm "
-        f"instead of {first.file_mm:.2f} mm; {body.names[0]} then lies {factor * arm:.2f} mm "
-        f"from the origin, not {arm:.2f} mm)"
-    )
-    rivals = (f"{Word.SCALE} of {ALL}", f"{Word.ZOOM} of {ALL}")
-    return Cause(
-        Word.PLACE, ALL, text, _MEND_PLACES, Level.WRONG, factor, sd, "times", rivals=rivals
-    )
-
-
 def radius_causes(radii: Sequence[Compared]) -> list[Cause]:
-    """Balls whose radius disagrees, or all of them where they disagree alike."""
-    alone = [
+    """Balls whose radius disagrees."""
+    return [
         Cause(
             Word.RADIUS,
             r.what[0],
@@ -148,7 +116,6 @@ def radius_causes(radii: Sequence[Compared]) -> list[Cause]:
         for r in radii
         if not r.agrees
     ]
-    return alone or _shared_size(radii)
 
 
 _MEND_RADII = "measure them with callipers, or state a larger radius_tolerance_mm"
@@ -175,21 +142,6 @@ def size_causes(body: Body, seen: OutlineGrowth) -> list[Cause]:
     if len(off) > 2 and np.sort(scatter)[-2] < _ONE_ALONE * scatter.max():
         of = body.names[int(np.argmax(scatter))]
     return [Cause(Word.RADIUS, of, text, _MEND_RADII, Level.WEAK, 100 * share, 100 * sd, "%")]
-
-
-def _shared_size(radii: Sequence[Compared]) -> list[Cause]:
-    """Radii that differ by a common factor, where no single one differs enough."""
-    if len(radii) < 3:
-        return []
-    off = float(np.median([(r.measured_mm - r.file_mm) / r.sd_mm for r in radii]))
-    if abs(off) <= _SHARED_SIGMAS:
-        return []
-    factor = float(np.median([r.measured_mm / r.file_mm for r in radii]))
-    each = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
-    text = f"the balls are {factor:.2f} times as large as the body file says ({each})"
-    sd = float(np.median([r.sd_mm / r.file_mm for r in radii]))
-    share = 100 * (factor - 1)
-    return [Cause(Word.RADIUS, ALL, text, _MEND_RADII, Level.WRONG, share, 100 * sd, "%")]
 
 
 def twin_findings(body: Body) -> list[Finding]:

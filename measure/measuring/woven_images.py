@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from measure.arrays import Bytes
-from measure.model import Detection, FrameSet
+from measure.model import Detection, FrameSet, Image
 
 _COMB_LEVELS = 12  # By which a row differs from both its neighbours, the same way: noise is less
 _COMB_SHARE = 0.3
@@ -40,7 +40,7 @@ class WovenImages:
         by_camera: dict[str, bool] = {}
         for ball in balls:
             if not by_camera.get(ball.camera, False):
-                by_camera[ball.camera] = _is_combed(frame_set.images[ball.camera].pixels, ball)
+                by_camera[ball.camera] = _is_combed(frame_set.images[ball.camera], ball)
         for name, combed in by_camera.items():
             self._combed.setdefault(name, deque(maxlen=_LATEST)).append(combed)
 
@@ -66,10 +66,13 @@ def woven_cameras(flags: Sequence[str]) -> list[str]:
     return sorted({name for names in found for name in names})
 
 
-def _is_combed(pixels: Bytes, ball: Detection) -> bool:
+def _is_combed(image: Image, ball: Detection) -> bool:
+    pixels = np.asarray(image.pixels)
+    if pixels.ndim != 3:
+        return False
     (x, y), r = ball.center_px.tolist(), _COMB_REACH * ball.radius_px
     part = pixels[max(round(y - r), 0) : round(y + r) + 1, max(round(x - r), 0) : round(x + r) + 1]
-    if part.ndim != 3 or min(part.shape[:2]) < 3:
+    if min(part.shape[:2]) < 3:
         return False
     # Noise, and what JPEG makes of it, does so along rows as well.
     combed = _alternating(part) - _alternating(part.transpose(1, 0, 2))

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -45,13 +44,11 @@ def test_the_right_file_raises_nothing(body):
 
 
 @pytest.mark.parametrize("factor", [33 / 38, 1.05])
-def test_a_wrong_scale_is_said_in_one_line(factor):
+def test_a_wrong_scale_is_one_cause_and_its_factor_known(factor):
+    """By that the body is searched for, and the cause then named."""
     result = check(RAVEN, with_centers(RAVEN, RAVEN.centers * factor))
     assert len(result.causes) == 1
-    assert f"{1 / factor:.2f}" in result.causes[0].text
-    assert "times as far apart" in result.causes[0].text
-    lengths = re.search(r"([\d.]+) mm from the origin, not ([\d.]+) mm", result.causes[0].text)
-    assert [float(arm) for arm in lengths.groups()] == pytest.approx([38, 38 * factor], abs=0.05)
+    assert result.factor == pytest.approx(1 / factor, abs=2e-3)
 
 
 @pytest.mark.parametrize(("a", "b"), [(0, 1), (1, 2)])
@@ -96,22 +93,10 @@ def _radii(shares, file_mm=20.0, sd_mm=0.28):
     ]
 
 
-@pytest.mark.parametrize("factor", [0.95, 1.05])
-def test_a_common_factor_of_all_radii_is_found(factor):
-    shares = factor + np.array([-0.005, 0.0, 0.005])
-    assert all(radius.agrees for radius in _radii(shares))
-    (cause,) = radius_causes(_radii(shares))
-    assert cause.text.startswith(f"the balls are {factor:.2f} times as large as the body file says")
-    file = Body("file", tuple(replace(b, radius_mm=20.0 / factor) for b in RAVEN.balls))
-    (cause,) = check(RAVEN, file).causes
-    assert "times as large as the body file says" in cause.text
-
-
 @pytest.mark.parametrize("shares", [(0.97, 0.99, 0.98), (0.94, 0.99, 1.0), (1.02, 0.97, 1.03)])
 def test_radii_within_the_bias_of_edges_agree(shares):
     """Edges lie inside the outlines of glossy balls, and one ball may look worse than others."""
     assert radius_causes(_radii(shares)) == []
-    assert radius_causes(_radii((0.95, 0.95, 0.95))[:2]) == [], "two balls are too few"
 
 
 def test_too_few_frames_say_nothing():
