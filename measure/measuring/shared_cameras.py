@@ -60,7 +60,7 @@ def solved_together(
     )
 
 
-class _Linearised(NamedTuple):
+class _CenterEquations(NamedTuple):
     """The n coordinates in pictures of a body's balls."""
 
     residuals: Floats  # (n,) detected less predicted, px
@@ -82,7 +82,7 @@ def _seen(measured: Measurement, cameras: Sequence[Camera]) -> _Seen:
 
 def _linearised(
     body: Body, place: RigidTransform, seen: _Seen, cameras: Sequence[Camera]
-) -> _Linearised:
+) -> _CenterEquations:
     from measure.model.rig_kernels import by_cameras
 
     names = [camera.name for camera in cameras]
@@ -93,7 +93,7 @@ def _linearised(
     _, by_point = rig.project(points)
     by_camera = np.zeros((len(seen), 2, len(cameras), 18))
     by_camera[np.arange(len(seen)), :, rows] = by_cameras(rig.rows, points)
-    return _Linearised(
+    return _CenterEquations(
         np.concatenate([off for _, off in seen]),
         np.concatenate([by_point, by_point @ skew(-arms)], axis=2).reshape(-1, 6),
         block_diag(*[d.covariance_px for d, _ in seen]),
