@@ -1,16 +1,20 @@
-"""What a first run compiles, and what that costs.
+"""What a first run compiles, and what that and starting cost.
 
     python -m benchmarks.first_run SESSION [--checkout FOLDER]
 
 measures a session twice, with an empty cache of compiled code and with the one that leaves. The
-difference of the two is what compiling takes.
+difference of the two is what compiling takes. Before that it times the command's help and what a
+run imports, the least of five.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import resource
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -41,6 +45,9 @@ def main() -> None:
     print(f"files                {len(sources)}")
     print(f"lines                {sum(text.count(chr(10)) for text in sources)}")
     print(f"kernels              {sum(map(kernels, sources))}")
+    helped = started(given.checkout, "from measure.cli import main; main()")
+    print(f"CPU s of --help      {helped:.2f}")
+    print(f"CPU s of imports     {started(given.checkout, 'from measure.api import run'):.2f}")
     with tempfile.TemporaryDirectory() as cache:
         first, second = (run(given.session, given.checkout, Path(cache)) for _ in range(2))
         overloads = sum(1 for _ in Path(cache).rglob("*.nbc"))
@@ -68,6 +75,18 @@ def run(session: Path, checkout: Path, cache: Path) -> Cost:
         before, begun = _cpu_s(), time.monotonic()
         run_measure(checkout, Path(out), *arguments, NUMBA_CACHE_DIR=str(cache))
         return Cost(_cpu_s() - before, time.monotonic() - begun)
+
+
+def started(checkout: Path, statement: str) -> float:
+    """CPU time in s of a Python process with a statement, called as if for help; least of five."""
+    roots = [str(checkout.resolve()), str((checkout / "plugins").resolve())]
+    took, environment = [], {**os.environ, "PYTHONPATH": os.pathsep.join(roots)}
+    for _ in range(5):
+        before = _cpu_s()
+        command = [sys.executable, "-c", statement, "--help"]
+        subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=True)
+        took.append(_cpu_s() - before)
+    return min(took)
 
 
 def _cpu_s() -> float:
