@@ -1,6 +1,6 @@
 """Pose errors by cameras that are off, where the calibration states their covariance.
 
-    python -m benchmarks.uncertain_cameras SESSION [--draws 8]
+    python -m benchmarks.uncertain_cameras SESSION [--draws 8] [--solver contours]
 
 SESSION is a recording with truth whose calibration is exact. Its cameras are moved by draws from a
 covariance, which the calibration states, and the recording is measured with them. The covariance of
@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.command import run_command
 from benchmarks.errors import in_region, pose_error, truth_of
-from measure.api import load_profile, measure_session
+from measure.api import choose, load_profile, measure_session
 from measure.arrays import Floats
 from measure.host import Registry
 from measure.measuring import Measurement, Status
@@ -58,9 +58,10 @@ def judged(one: Measurement, truth: Trajectory) -> Floats:
     return np.array([*parts, *inside, flagged])
 
 
-def figures(session: Path, covariance: Floats, draws: int, registry: Registry) -> Floats:
+def figures(session: Path, covariance: Floats, draws: int, solver: str) -> Floats:
     """Means (7,) of `judged` over all frame sets and draws."""
     rows, truth = [], truth_of(session)
+    profile, registry = choose(load_profile("precise"), {"solver": solver}), Registry.discover()
     with open_session(session) as exact:
         cameras = exact.cameras
     with TemporaryDirectory() as folder:
@@ -68,7 +69,7 @@ def figures(session: Path, covariance: Floats, draws: int, registry: Registry) -
             file = Path(folder) / f"{seed}.toml"
             write_calibration(file, moved(tuple(cameras), covariance, seed))
             with open_session(session, file) as opened:
-                measured = measure_session(opened, load_profile("precise"), registry)
+                measured = measure_session(opened, profile, registry)
                 rows += [judged(one, truth) for _, one in measured]
     return np.mean(rows, axis=0)
 
@@ -88,12 +89,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="benchmarks.uncertain_cameras", description=__doc__)
     parser.add_argument("session", type=Path)
     parser.add_argument("--draws", type=int, default=8, help="of the cameras, at each level")
+    parser.add_argument("--solver", default="contours", help="plugin that solves the pose")
     given = parser.parse_args()
-    registry = Registry.discover()
     print(HEADER)
     for mm, deg in LEVELS:
         covariance = np.diag(np.repeat([mm, np.deg2rad(deg)], 3) ** 2)
-        found = figures(given.session, covariance, given.draws, registry)
+        found = figures(given.session, covariance, given.draws, given.solver)
         print(f"{mm:6.2f}{deg:8.3f}{cells(found)}", flush=True)
 
 
