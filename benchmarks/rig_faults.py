@@ -187,6 +187,19 @@ def _exchanged_folders(folder: Path) -> None:
     (folder / "x").rename(folder / "cam1")
 
 
+def _of_two(other: str, change: Change) -> Change:
+    """cam0 and another camera alone, and what is done to them."""
+
+    def changed(folder: Path) -> None:
+        change(folder)
+        path = folder / "session.toml"
+        head, *tables = path.read_text().split("[[cameras]]")
+        kept = [table for table in tables if '"cam0"' in table or f'"{other}"' in table]
+        path.write_text("[[cameras]]".join([head, *kept]))
+
+    return changed
+
+
 def _from_the_middle(change: Callable[[Bytes], Bytes]) -> Callable[[list[Bytes], int], Bytes]:
     return lambda images, k: change(images[k]) if k >= len(images) // 2 else images[k]
 
@@ -261,6 +274,13 @@ def faults() -> Iterator[Fault]:
     yield Fault("same pictures", GROSS, ("same-pictures",), "cam1", _same_pictures)
     yield Fault("interlaced", CLEAR, ("interlaced",), "", pictures(_woven))
     yield Fault("interlaced one", CLEAR, ("interlaced",), "cam1", pictures(_woven, "cam1"))
+    bursts = stamps("cam1", lambda n, t: t + (5 - n % 6) / 30 + 0.0003 * (n % 6))
+    yield Fault("bursts of six", CLEAR, ("clock",), "cam1", bursts)
+    rate = stamps("cam1", lambda _, t: 1.2 * t)
+    yield Fault("25 for 30 a second", CLEAR, ("clock",), "cam1", rate)
+    for name in ("cam1", "cam2"):
+        pair = _of_two(name, calibration(pushed(14.0), name))
+        yield Fault(f"one of two, {name} 14 mm", CLEAR, ("moved",), "", pair)
     shake = np.cumsum(np.random.default_rng(3).normal(0, 1.2, (400, 2)), 0)
     stabilised = pictures(lambda im, k: warped(im[k], 1.0, *shake[k]), "cam1")
     yield Fault("stabilised", GROSS, ("unknown",), "cam1", stabilised)
