@@ -20,7 +20,7 @@ _COMB_SHARE = 0.3
 """Of an outline's length in px, pixels that do so where it moves by a pixel between the fields."""
 _COMBED_SHARE, _LEAST_COMBED = 0.2, 3  # Of images: where the body rests, no image shows a comb
 _COMB_REACH = 1.2  # How far out is looked, in radii
-_LATEST, _EVERY = 30, 16
+_LATEST, _EVERY = 30, 17
 """Images of a camera that are remembered; and after so many, of how many one is looked at."""
 _FLAG = re.compile(r"pictures of (.+?) are woven of two instants")
 
