@@ -205,16 +205,6 @@ def test_a_file_system_without_locks_is_refused(
     assert not (folder / "run.toml").exists()
 
 
-def test_the_stream_is_what_counts_while_both_forms_are_there(folder: Path) -> None:
-    """A kill between the two steps in which a stream becomes a table."""
-    begun(folder, 3)
-    rows = pa.ipc.open_stream((folder / "poses.arrows").read_bytes()).read_all()
-    pa.parquet.write_table(rows.slice(0, 1), folder / "poses.parquet")
-    assert frames_of(folder) == [0, 1, 2]
-    assert go_on(folder, 3) == 3
-    check_whole(folder, 3)
-
-
 def test_a_run_can_be_read_at_any_moment_of_its_writing(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,7 +16,6 @@ from tests.results.conftest import (
     BODY,
     CAMERAS,
     check_whole,
-    frames_of,
     go_on,
     made_from,
     measurement,
@@ -31,23 +30,6 @@ def test_times_from_1970_keep_their_nanoseconds(folder: Path) -> None:
     row = (folder / "poses.csv").read_text().splitlines()[1]
     assert row.startswith("0,1700000000.12345")
     assert read_run(folder).times_s[0] == 1_700_000_000.123456
-
-
-@pytest.mark.parametrize("cut", [1, 7, 40, 300])
-@pytest.mark.parametrize("torn", [("detections", "balls", "poses"), ("poses",), ("detections",)])
-def test_a_torn_batch_is_dropped(folder: Path, torn: tuple[str, ...], cut: int) -> None:
-    with open_writer(folder) as writer:
-        for i in range(3):
-            writer.append(measurement(i))
-            writer._flush()
-    for table in torn:
-        path = folder / f"{table}.arrows"
-        path.write_bytes(path.read_bytes()[:-cut])
-    assert set(read_run(folder).detections["index"].to_pylist()) <= set(frames_of(folder))
-    if "poses" in torn:
-        assert frames_of(folder) == [0, 1]
-        assert go_on(folder, 3) == 2
-        check_whole(folder, 3)
 
 
 def test_overwriting_removes_the_run_and_nothing_else(folder: Path) -> None:

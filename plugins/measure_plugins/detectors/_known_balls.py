@@ -9,18 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from measure.arrays import Bytes, Floats, Ints, stacked
+from measure.arrays import Bytes, Floats, stacked
 from measure.host import Settings, setting
 from measure.model import Body, Camera, Detection, Expectation, Image
 from measure.model.lens import bearing
+from measure_plugins._outline.appearance.interreflection import balls_behind, balls_nearer
 from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.fitting import batch
-from measure_plugins._outline.fitting.scan import CameraImage
+from measure_plugins._outline.fitting.measurement import measure_step_gain
+from measure_plugins._outline.fitting.scan import CameraImage, OutlineSearch
 
 FEWER_RAYS, MIN_RAYS = 2, 16
 """Divisor of the number of rays across outlines of unknown size, and the least number."""
@@ -65,14 +66,6 @@ class OutlineConfig(Settings):
 _UNIT_GAIN = np.eye(2)
 
 
-class _Constants(NamedTuple):
-    """Constants of k balls: radii (k,) in mm, the others as in `Expected`."""
-
-    radii: Floats
-    bits: Ints
-    step_gains: Floats
-
-
 class KnownBalls:
     """Measures expected balls of one body in one camera; keeps the step gain of each."""
 
@@ -89,7 +82,6 @@ class KnownBalls:
         self._bits, self._colors = bits, colors
         self._radii = {ball.name: ball.radius_mm for ball in body.balls}
         self._step_gains: dict[str, Floats] = {}
-        self._known: dict[tuple[str, ...], _Constants] = {}
 
     def view(self, image: Image, appearance: Appearance) -> CameraImage:
         """A picture and its camera's appearance, for compiled code."""
@@ -103,14 +95,15 @@ class KnownBalls:
         )
 
     def cones(self, expected: Sequence[Expectation]) -> Floats:
-        """Axes, half angles in rad, distances in mm, and radii in px of outlines: (k, 6)."""
+        """Outlines (k, 6) of k balls, see `batch.cones_of`."""
         centers = [
             center_by_size(e, self._camera, self._radii[e.ball])
             if e.center_camera is None
             else e.center_camera
             for e in expected
         ]
-        return batch.cones_of(stacked(centers), self._of(expected).radii, self._lens)
+        radii = np.array([self._radii[e.ball] for e in expected])
+        return batch.cones_of(stacked(centers), radii, self._lens)
 
     def measured(
         self,
@@ -118,19 +111,18 @@ class KnownBalls:
         expected: Sequence[Expectation],
         cones: Floats,
         appearance: Appearance,
-    ) -> batch.Measured:
+    ) -> list[batch.Measured]:
         """With corrected edges where the distance, and so the size, is known; else without.
 
         Args:
             expected: k >= 1 balls.
             cones: (k, 6) as from `cones`.
         """
-        c, balls = self._config, self._packed(expected, cones, appearance)
-        rays = c.rays if balls.sized.any() else max(c.rays // FEWER_RAYS, MIN_RAYS)
-        give_up_share = GIVE_UP_SHARE * c.min_agreement
-        return batch.measure_balls(
-            view, balls, rays, c.min_contrast, c.margin_px, give_up_share, self._colors
-        )
+        c = self._config
+        sized = any(e.center_camera is not None for e in expected)
+        rays = c.rays if sized else max(c.rays // FEWER_RAYS, MIN_RAYS)
+        searches = self._searches(expected, cones, appearance, rays)
+        return batch.measure_balls(view, searches, GIVE_UP_SHARE * c.min_agreement, self._colors)
 
     def measured_step_gains(
         self,
@@ -138,10 +130,38 @@ class KnownBalls:
         expected: Sequence[Expectation],
         cones: Floats,
         appearance: Appearance,
-    ) -> Floats:
-        """Step gains (k, 2, 2) of balls whose outlines `cones` (k, 6) have converged."""
-        c, balls = self._config, self._packed(expected, cones, appearance)
-        return batch.measure_step_gains(view, balls, c.rays, c.min_contrast, c.margin_px)
+    ) -> dict[str, Floats]:
+        """Step gains (2, 2) of balls of known size whose outlines `cones` (k, 6) have converged."""
+        searches = self._searches(expected, cones, appearance, self._config.rays)
+        return {
+            e.ball: measure_step_gain(view, search, tables)
+            for e, (search, tables, _) in zip(expected, searches, strict=True)
+            if tables is not None
+        }
+
+    def _searches(
+        self, expected: Sequence[Expectation], cones: Floats, appearance: Appearance, rays: int
+    ) -> list[batch.BallSearch]:
+        c = self._config
+        return [
+            batch.BallSearch(
+                OutlineSearch(
+                    axis=cone[:3],
+                    half_angle=cone[3],
+                    nearer=balls_nearer(cone, cones),
+                    behind=balls_behind(cone, cones),
+                    reach_px=float(e.reach_px),
+                    rays=rays,
+                    min_contrast=c.min_contrast,
+                    margin_px=c.margin_px,
+                    distance=cone[4],
+                    step_gain=self._step_gains.get(e.ball, _UNIT_GAIN),
+                ),
+                None if e.center_camera is None else appearance.tables(cone[5], cone[3]),
+                self._bits[e.ball],
+            )
+            for e, cone in zip(expected, cones, strict=True)
+        ]
 
     @property
     def knows_step_gains(self) -> bool:
@@ -155,38 +175,10 @@ class KnownBalls:
     def set_step_gains(self, step_gains: Mapping[str, Floats]) -> None:
         """Keep the step gains (2, 2) of some balls, by name."""
         self._step_gains.update(step_gains)
-        self._known.clear()
 
     def clear_step_gains(self) -> None:
         """Forget the step gains: they hold for one appearance."""
         self._step_gains.clear()
-        self._known.clear()
-
-    def _packed(
-        self, expected: Sequence[Expectation], cones: Floats, appearance: Appearance
-    ) -> batch.Expected:
-        known = self._of(expected)
-        tables = appearance.stacked_tables([(px, angle) for *_, angle, _, px in cones.tolist()])
-        return batch.Expected(
-            cones,
-            np.array([e.reach_px for e in expected]),
-            tables,
-            np.array([e.center_camera is not None for e in expected]),
-            known.bits,
-            known.step_gains,
-        )
-
-    def _of(self, expected: Sequence[Expectation]) -> _Constants:
-        """The constants of balls, cached: nearly always of the same ones."""
-        balls = tuple([e.ball for e in expected])
-        known = self._known.get(balls)
-        if known is None:
-            known = self._known[balls] = _Constants(
-                np.array([self._radii[ball] for ball in balls]),
-                np.array([self._bits[ball] for ball in balls]),
-                np.array([self._step_gains.get(ball, _UNIT_GAIN) for ball in balls]),
-            )
-        return known
 
 
 _RADIUS_PX = 40.0

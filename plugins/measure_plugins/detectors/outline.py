@@ -164,11 +164,10 @@ class OutlineDetector(SelfCalibratingDetector):
             GIVE_UP_SHARE * c.min_agreement,
             circles.table,
         )
-        numbers, sizes = found.numbers.tolist(), rough[:, 2].tolist()
         each = (
-            self._detection(image, ball, radii_about(sizes[i]), i, found, numbers[i])
-            for i in np.nonzero(found.numbers[:, 1])[0].tolist()
-            for ball in names[i]
+            self._detection(image, ball, radii_about(size_px), measured)
+            for measured, size_px, balls in zip(found, rough[:, 2].tolist(), names, strict=True)
+            for ball in balls
         )
         return [detection for detection in each if detection is not None and _is_sure(detection)]
 
@@ -252,7 +251,7 @@ class OutlineDetector(SelfCalibratingDetector):
         for d in found:
             cones[row[d.ball], :3] = self.camera.intrinsics.unproject(d.center_px[None])[0]
         step_gains = self._balls.measured_step_gains(view, expected, cones, self._appearance)
-        self._balls.set_step_gains({ball: step_gains[row[ball]] for ball in new})
+        self._balls.set_step_gains({ball: step_gains[ball] for ball in new})
         return True
 
     def _measure_at(
@@ -260,44 +259,37 @@ class OutlineDetector(SelfCalibratingDetector):
     ) -> list[Detection]:
         """Detections of expected balls with these outlines, see `KnownBalls.measured`."""
         found = self._balls.measured(view, expected, cones, self._appearance)
-        numbers = found.numbers.tolist()
         each = [
-            self._detection(image, one.ball, one.radius_px, i, found, numbers[i])
-            for i, one in enumerate(expected)
+            self._detection(image, one.ball, one.radius_px, measured)
+            for one, measured in zip(expected, found, strict=True)
         ]
         return [detection for detection in each if detection is not None]
 
     def _detection(
-        self,
-        image: Image,
-        ball: str,
-        limits_px: tuple[float, float],
-        i: int,
-        found: Measured,
-        numbers: Sequence[float],
+        self, image: Image, ball: str, limits_px: tuple[float, float], measured: Measured
     ) -> Detection | None:
-        """The detection of a ball by its row of numbers; None if it fails the limits of a ball."""
-        radius_px, points, agreement, match, rays = numbers
-        c, count, (low, high) = self.config, int(points), limits_px
+        """The detection of a ball that was measured; None if it fails the limits of a ball."""
+        outline, match, rays = measured
+        c, (low, high) = self.config, limits_px
         if (
-            count < c.min_rays * rays / c.rays
-            or agreement < c.min_agreement
+            outline.agreeing < c.min_rays * rays / c.rays
+            or outline.share < c.min_agreement
             or match < c.min_color_match
         ):
             return None
-        if not low - 2 <= radius_px <= high + 2:
+        if not low - 2 <= outline.radius_px <= high + 2:
             return None
         return Detection(
             ball,
             image.camera,
             image.time_s,
-            found.centers_px[i],
-            radius_px,
-            found.covariances_px[i],
-            score=min(1.0, agreement) * min(1.0, match / _WHOLE_MATCH),
+            outline.center_px,
+            outline.radius_px,
+            outline.covariance_px,
+            score=min(1.0, outline.share) * min(1.0, match / _WHOLE_MATCH),
             color_match=match,
-            outline_px=found.points_px[i, :count],
-            outline_sd_px=found.sd_px[i, :count],
+            outline_px=outline.points_px,
+            outline_sd_px=outline.sd_px,
         )
 
 

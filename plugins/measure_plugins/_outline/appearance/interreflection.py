@@ -18,27 +18,22 @@ _SPACING = float(DEFLECTIONS[1] - DEFLECTIONS[0])
 _SAME_MM = 1e-6  # Balls whose distances differ by less neither occlude nor mirror each other
 
 
-@compiled
 def balls_nearer(cone: Floats, cones: Floats) -> Floats:
     """Axes and half angles (m, 4) of the outlines of balls nearer than one; see `balls_behind`."""
-    return cones[cones[:, 4] < cone[4] - _SAME_MM, :4]
+    return np.ascontiguousarray(cones[cones[:, 4] < cone[4] - _SAME_MM, :4])
 
 
-@compiled
 def balls_behind(cone: Floats, cones: Floats) -> Floats:
     """Balls further away than one (m, 4): their centres from its centre and radii, in its radii.
 
     Args:
-        cone: (5,) its axis, half angle in rad and distance in mm, see `batch.Expected`.
+        cone: (5,) its axis, half angle in rad and distance in mm, see `batch.cones_of`.
         cones: (k, 5) of all balls; columns beyond those are ignored.
     """
-    further = cones[cones[:, 4] > cone[4] + _SAME_MM]
-    out, radius = np.empty((len(further), 4)), cone[4] * np.sin(cone[3])
-    for k in range(len(further)):
-        for a in range(3):
-            out[k, a] = (further[k, 4] * further[k, a] - cone[4] * cone[a]) / radius
-        out[k, 3] = further[k, 4] * np.sin(further[k, 3]) / radius
-    return out
+    further, radius = cones[cones[:, 4] > cone[4] + _SAME_MM], cone[4] * np.sin(cone[3])
+    centers = further[:, 4:5] * further[:, :3] - cone[4] * cone[:3]
+    radii = further[:, 4] * np.sin(further[:, 3])
+    return np.column_stack([centers, radii]) / radius
 
 
 @compiled

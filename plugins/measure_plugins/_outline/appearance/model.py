@@ -5,7 +5,6 @@ See docs/explanation/outline.md, formula 10.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -56,10 +55,6 @@ class Appearance:
         return radial_basis.radial_tables(
             radius_px, half_angle, self.blur_px, self.index, self.mirrors
         )
-
-    def stacked_tables(self, outlines: Sequence[tuple[float, float]]) -> radial_basis.RadialTables:
-        """The same of k outlines (radius in px, half angle in rad), stacked."""
-        return radial_basis.stacked_tables(outlines, self.blur_px, self.index, self.mirrors)
 
 
 def first_appearance(tone: str) -> Appearance:

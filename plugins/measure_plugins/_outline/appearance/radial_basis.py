@@ -10,14 +10,12 @@ See docs/explanation/outline.md, formulas 1, 2, 4, 5, 7 and 8.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Floats, stacked
-from measure.compiling import compiled
+from measure.arrays import Floats
 from measure_plugins._outline.sampling.rays import STEPS
 
 DEFLECTIONS = np.radians([0, 10, 20, 30, 40, 50, 60, 75])
@@ -64,39 +62,8 @@ def radial_tables(
         index: refractive index of the surface.
         mirrors: whether the colours behind are mirrored at grazing angles.
     """
-    return _radial(*_sizes(radius_px, half_angle, blur_px), index, mirrors)
-
-
-def stacked_tables(
-    outlines: Sequence[tuple[float, float]], blur_px: float, index: float, mirrors: bool = True
-) -> RadialTables:
-    """The same tables of k >= 1 outlines (radius in px, half angle in rad), stacked: (k, ...)."""
-    return _stacked(tuple([_sizes(*one, blur_px) for one in outlines]), index, mirrors)
-
-
-def _sizes(radius_px: float, half_angle: float, blur_px: float) -> tuple[int, int, int]:
-    return round(4 * radius_px), round(200 * half_angle), round(20 * blur_px)
-
-
-@lru_cache(maxsize=256)
-def _stacked(sizes: tuple[tuple[int, int, int], ...], index: float, mirrors: bool) -> RadialTables:
-    """Cached: balls keep their sizes from picture to picture."""
-    of_each = [_radial(*one, index, mirrors) for one in sizes]
-    return RadialTables._make(stacked(some) for some in zip(*of_each, strict=True))
-
-
-@compiled
-def one_of(tables: RadialTables, i: int) -> RadialTables:
-    """Those of outline i."""
-    return RadialTables(
-        tables.diffuse[i],
-        tables.grey[i],
-        tables.grazing_reflection[i],
-        tables.outside[i],
-        tables.fresnel_loss[i],
-        tables.reflection_solver[i],
-        tables.reflection_prior[i],
-    )
+    size, angle, blur = round(4 * radius_px), round(200 * half_angle), round(20 * blur_px)
+    return _radial(size, angle, blur, index, mirrors)
 
 
 @lru_cache(maxsize=1024)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Bytes, Floats
-from measure.compiling import compiled, folded
+from measure.compiling import compiled
 from measure.geometry.linear_kernels import inverse
 from measure.model.lens import bearing
 from measure_plugins._outline.appearance.radial_basis import RadialTables
@@ -68,7 +68,7 @@ _COLOR_SD_PX = 0.5
 reflection ends the range."""
 
 
-@folded
+@compiled
 def measure_known_size(view: CameraImage, search: OutlineSearch, tables: RadialTables) -> Outline:
     """Measure an outline of known size by corrected edges, from its prediction if that converges.
 

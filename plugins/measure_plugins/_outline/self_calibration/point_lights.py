@@ -3,9 +3,6 @@
 Few of the irradiances come out positive. Lights are common to all balls and pictures of a camera,
 and to all cameras; each ball has an albedo of its own. Light from all round that changes linearly
 from one side to the other has columns of its own, else it would be fitted by many point lights.
-
-Sums over pixels are compiled loops: a linear algebra library would split products of this size
-among threads that wait for one another where cameras are measured in parallel.
 See docs/explanation/outline.md, formula 19.
 """
 
@@ -41,7 +38,7 @@ _LIGHT_DISTANCE_MM = 1000.0
 the camera if it is further away."""
 _OUTERMOST_PX = -1.0  # Last step along the normal that is used
 _STEP_STRIDE = 2
-_SKY_COLUMNS = 6  # Columns of light from all round, see `_add_skies`
+_SKY_COLUMNS = 6  # Columns of light from all round, see `_skies`
 _ITERATIONS = 4
 _SWEEPS = 400
 _RIDGE = 3e-4
@@ -87,7 +84,7 @@ def solve_point_lights(lights: Sequence[LightEquations]) -> Floats:
     for _ in range(_EXPOSURE_ITERATIONS if others else 0):
         normal, right = own.normal.copy(), own.right.copy()
         for other in others:
-            expected = max(float(power @ _product(other.normal, power)), _TINY)
+            expected = max(float(power @ other.normal @ power), _TINY)
             exposure = max(float(power @ other.right) / expected, 0.0)
             normal += exposure**2 * other.normal
             right += exposure * other.right
@@ -144,7 +141,7 @@ def equations(shares: Sequence[Floats], seen: Sequence[Floats]) -> tuple[Floats,
             break
         power, left = _solve(normal, right, power), np.zeros(2)
         for i, (one, amounts) in enumerate(zip(shares, seen, strict=True)):
-            lit = _product(one, power)
+            lit = one @ power
             off = amounts - albedo[i] * lit
             limit = 5 * MAD_TO_SD * np.median(np.abs(off)) + 1e-6
             weights[i] = np.clip(1 - (off / limit) ** 2, 0, None) ** 4
@@ -158,7 +155,9 @@ def equations(shares: Sequence[Floats], seen: Sequence[Floats]) -> tuple[Floats,
 def _solve(normal: Floats, right: Floats, start: Floats) -> Floats:
     """Powers (m,), none negative, by their normal equations."""
     ridge = _RIDGE * np.mean(np.diag(normal)) * np.eye(len(right))
-    return non_negative(normal + ridge, right, start, _SWEEPS)
+    power = start.copy()
+    descend(normal + ridge, (normal + ridge) @ power - right, power, _SWEEPS)
+    return power
 
 
 @compiled
@@ -177,19 +176,13 @@ def add_normal(
 
 
 @compiled
-def _product(matrix: Floats, vector: Floats) -> Floats:
-    out = np.zeros(len(matrix))
-    for i in range(len(matrix)):
-        for k in range(len(vector)):
-            out[i] += matrix[i, k] * vector[k]
-    return out
+def descend(normal: Floats, slope: Floats, out: Floats, sweeps: int) -> None:
+    """Non-negative least squares (k,) by coordinate descent (Franc et al. 2005), in place.
 
-
-@compiled
-def non_negative(normal: Floats, right: Floats, start: Floats, sweeps: int) -> Floats:
-    """Non-negative least squares (k,) by coordinate descent (Franc et al. 2005)."""
-    out = start.copy()
-    slope = _product(normal, out) - right
+    Args:
+        normal: (k, k) normal matrix.
+        slope: (k,) `normal @ out` less the right side.
+    """
     for _ in range(sweeps):
         for k in range(len(out)):
             if normal[k, k] > 0:
@@ -198,10 +191,8 @@ def non_negative(normal: Floats, right: Floats, start: Floats, sweeps: int) -> F
                     out[k] += step
                     for j in range(len(out)):
                         slope[j] += step * normal[k, j]
-    return out
 
 
-@compiled
 def _light_design(
     pixels: Bytes,
     table: Floats,
@@ -213,35 +204,28 @@ def _light_design(
     """Light of each point light, and from all round, at some of a ball's clear pixels.
 
     Returns:
-        That (p, k + 6), see `_add_skies`; and the amounts (p,) of the body colour seen there.
+        That (p, k + 6), see `_skies`; and the amounts (p,) of the body colour seen there.
     """
     light, background = sampled_light(pixels, table, rays)
     inside = int(np.searchsorted(STEPS, _OUTERMOST_PX, side="right"))
     _, amounts, _, _ = split_light(light, rays.status, background, STEPS, tables, inside)
     used, clear = np.arange(0, inside, _STEP_STRIDE), some_clear(rays.status)
     rows, angles = tables.diffuse[used], rays.around[clear]
-    out = np.empty((len(used), len(clear), len(point_lights) + _SKY_COLUMNS))
-    for k in range(len(point_lights)):
-        out[:, :, k] = shade_by_lights(
-            rows, tables.fresnel_loss[0], angles, point_lights[k : k + 1]
-        )
-    _add_skies(rows, angles, frame, out[:, :, len(point_lights) :])
-    seen = amounts[used][:, clear].copy()
-    return out.reshape(seen.size, len(point_lights) + _SKY_COLUMNS), seen.reshape(-1)
+    loss = tables.fresnel_loss[0]
+    lit = [shade_by_lights(rows, loss, angles, one[None]) for one in point_lights]
+    out = np.concatenate([np.stack(lit, axis=2), _skies(rows, angles, frame)], axis=2)
+    return out.reshape(-1, out.shape[2]), amounts[used][:, clear].ravel()
 
 
-@compiled
-def _add_skies(diffuse: Floats, around: Floats, frame: Floats, out: Floats) -> None:
-    """Fill the light (m, n, 6) of skies that fade linearly from one side to none on the opposite.
+def _skies(diffuse: Floats, around: Floats, frame: Floats) -> Floats:
+    """The light (m, n, 6) of skies that fade linearly from one side to none on the opposite.
+
+    By the side from which most comes: either way along the camera's x, y and z.
 
     Args:
         frame: (3, 3) about the axis.
-        out: by the side from which most comes: either way along the camera's x, y and z.
     """
-    for a in range(3):
-        for i in range(len(around)):
-            sideways = around[i, 0] * frame[0, a] + around[i, 1] * frame[1, a]
-            for j in range(len(diffuse)):
-                uniform = diffuse[j, UNIFORM]
-                gradient = diffuse[j, RADIAL] * sideways - diffuse[j, AXIAL] * frame[2, a]
-                out[j, i, 2 * a], out[j, i, 2 * a + 1] = uniform + gradient, uniform - gradient
+    uniform, radial, axial = (diffuse[:, [k], None] for k in (UNIFORM, RADIAL, AXIAL))
+    gradient = radial * (around @ frame[:2]) - axial * frame[2]
+    both = np.stack([uniform + gradient, uniform - gradient], axis=-1)
+    return both.reshape(len(diffuse), len(around), _SKY_COLUMNS)
