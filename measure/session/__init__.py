@@ -30,7 +30,6 @@ from measure.session.orientation import Orientation
 from measure.session.pictures import (
     PictureTags,
     decode_picture,
-    has_full_color,
     is_complete_jpeg,
     picture_bytes,
     picture_tags,
@@ -49,10 +48,9 @@ __all__ = [
     "Position", "SafeName", "Session", "StatedCamera", "StatedRig", "StatedTransform", "Stream",
     "TrackedBody", "Trajectory", "Unit", "able", "check_bodies", "check_name", "check_overlap",
     "check_unit", "clock_values", "damaged_frames", "decode_picture", "dump_toml", "format_for",
-    "formats", "has_full_color", "holds_jpeg", "is_complete_jpeg", "load_toml", "matching_files",
-    "open_session", "open_streams", "open_video_stream", "pair_nearest", "picture_bytes",
-    "picture_tags", "read_bodies", "read_body", "read_calibration", "read_intrinsics",
-    "read_picture", "read_robot_base", "read_trajectory", "seldom_paired", "session_file",
-    "session_lacks", "session_truth", "stated_model", "write_bodies", "write_body",
-    "write_calibration",
+    "formats", "holds_jpeg", "is_complete_jpeg", "load_toml", "matching_files", "open_session",
+    "open_streams", "open_video_stream", "pair_nearest", "picture_bytes", "picture_tags",
+    "read_bodies", "read_body", "read_calibration", "read_intrinsics", "read_picture",
+    "read_robot_base", "read_trajectory", "seldom_paired", "session_file", "session_lacks",
+    "session_truth", "stated_model", "write_bodies", "write_body", "write_calibration",
 ]  # fmt: skip

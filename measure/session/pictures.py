@@ -29,7 +29,6 @@ LIMIT = "MEASURE_MAX_MEGAPIXELS"
 """The variable of the environment that raises the largest size of a picture."""
 _DEFAULT_MEGAPIXELS = 100.0
 _MAX_BYTES = 1 << 30
-_HALF_BOTH_WAYS = b"\x22"  # Samples of brightness across and down for one of colour
 _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers after which a JPEG states its size."""
 _ALONE = frozenset({0x01, *range(0xD0, 0xD9)})  # Markers that nothing belongs to
@@ -140,21 +139,6 @@ def _header(data: bytes) -> ImageFile | None:
 
 def jpeg_size_wh(data: bytes) -> tuple[int, int] | None:
     """Width and height in px that the frame header of a JPEG states; None if there is none."""
-    at = _frame_header(data)
-    if at is None:
-        return None
-    height, width = data[at + 5 : at + 7], data[at + 7 : at + 9]
-    return int.from_bytes(width, "big"), int.from_bytes(height, "big")
-
-
-def has_full_color(data: bytes) -> bool:
-    """Whether a picture keeps colour finer than at half the resolution of brightness (4:2:0)."""
-    at = _frame_header(data) if data.startswith(JPEG_START) else None
-    return at is None or data[at + 11 : at + 12] != _HALF_BOTH_WAYS
-
-
-def _frame_header(data: bytes) -> int | None:
-    """Where the frame header of a JPEG begins."""
     at = 2
     while at + 9 <= len(data):
         if data[at] != 0xFF:  # decoders pass over what stands between segments
@@ -164,7 +148,8 @@ def _frame_header(data: bytes) -> int | None:
             continue
         kind = data[at + 1]
         if kind in _FRAME_HEADERS:
-            return at
+            height, width = data[at + 5 : at + 7], data[at + 7 : at + 9]
+            return int.from_bytes(width, "big"), int.from_bytes(height, "big")
         if kind == _SCAN:
             break
         if kind in (0x00, 0xFF):  # a marker may be filled up with 0xFF

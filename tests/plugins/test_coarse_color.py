@@ -10,9 +10,9 @@ import pytest
 
 from measure.api import load_profile, measure_session
 from measure.host import Registry
-from measure.session import has_full_color, open_session, read_trajectory
+from measure.session import open_session, read_trajectory
 from measure.simulation.catalogue import WEBCAM, plain_scene, webcam_scene
-from measure_plugins.detectors._coarse_color import has_fringes
+from measure_plugins.detectors._coarse_color import has_fringes, has_full_color
 from tests.simulated.sessions import rendered
 
 TIMES_S = np.arange(6) / 30.0

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from io import BytesIO
 
 import cv2
 import numpy as np
 
 from measure.model import Expectation, Image
-from measure.session import has_full_color
 
 _BEYOND_PX = 16  # What rays, and the light beside a ball, reach beyond its search
 _MOSAIC = 1.5
 """Ratio of how rough green is at the two kinds of place of a mosaic: 1.00 to 1.22 in pictures
 without one or stored as JPEG, 5.8 to 7.4 in those whose mosaic was interpolated bilinearly."""
+_HALF_BOTH_WAYS = 2  # Pillow's number of 4:2:0
 _LAPLACE = np.array([[0, -1, 0], [-1, 4, -1], [0, -1, 0]], np.float32)
 
 
@@ -34,6 +35,16 @@ def has_fringes(image: Image) -> bool:
     rough = np.abs(cv2.filter2D(green, -1, _LAPLACE))
     one, other = (rough[::2, k::2].mean() + rough[1::2, 1 - k :: 2].mean() for k in (0, 1))
     return bool(max(one, other) > _MOSAIC * min(one, other))
+
+
+def has_full_color(data: bytes) -> bool:
+    """Whether a picture keeps colour finer than at half the resolution of brightness (4:2:0)."""
+    from PIL.JpegImagePlugin import JpegImageFile, get_sampling
+
+    try:
+        return bool(get_sampling(JpegImageFile(BytesIO(data))) != _HALF_BOTH_WAYS)
+    except (OSError, SyntaxError):  # no JPEG, says Pillow
+        return True
 
 
 def with_coarse_color(image: Image, expected: Sequence[Expectation]) -> Image:
