@@ -10,6 +10,7 @@ import pytest
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure_learning.core import DriftMonitor, Split, fit_zeroing
+from measure_learning.robots import find_schema
 
 
 def test_rezero_finds_joints_homed_otherwise(split: Split) -> None:
@@ -63,8 +64,8 @@ def test_rezero_that_would_harm_is_refused(split: Split) -> None:
         fit_zeroing(schema, states[np.full(200, 7)], 0.8 + noise, spread_sd=spread_sd)
     turned = np.where(np.arange(200)[:, None] < 100, 0.8, -0.8) + 3.0 * noise
     turned -= turned.mean(axis=0)
-    with pytest.raises(EstimatorError, match=r"would do harm: .* leave .* mm RMS of the other"):
-        fit_zeroing(schema, states[order], turned + np.where(np.arange(200) % 2, 3, -3)[:, None])
+    with pytest.raises(EstimatorError, match=r"would do harm: .* leave .* mm RMS, none leave"):
+        fit_zeroing(schema, states[order], turned + np.where(np.arange(200) % 2, 1, -1)[:, None])
 
 
 def test_drift_is_seen_and_calm_is_not_drift() -> None:
@@ -80,3 +81,28 @@ def test_drift_is_seen_and_calm_is_not_drift() -> None:
     assert calm.due
     assert "train again" in calm.sentence()
     assert "too few" in DriftMonitor().sentence()
+
+
+def test_rezero_gives_no_zero_to_a_joint_that_moves_no_tip() -> None:
+    """With a straight wrist its roll stays as it is, and poses far apart need no wide spread."""
+    schema, rng = find_schema("dvrk-psm"), np.random.default_rng(0)
+    assert schema.chain is not None
+    q = np.zeros((20, 6))
+    q[:, 2] = 120.0
+    q[:, :2] += rng.normal(0.0, 0.2, (20, 2))
+    q[:, 4:] += rng.normal(0.0, 0.002, (20, 2))
+
+    def states(joints: Floats) -> Floats:
+        assert schema.chain is not None
+        return np.concatenate([joints * [1, 1, 1e-3, 1, 1, 1], schema.chain.tip_mm(joints)], axis=1)
+
+    usual = np.array([0.4, 0.4, 20.0, 0.6, 0.6, 0.6])
+    wide = rng.normal(0.0, 1.0, (200, 6)) * usual + [0, 0, 120.0, 0, 0, 0]
+    residuals = np.array([0.8, -0.5, 0.2]) + rng.normal(0.0, 0.3, (20, 3))
+    zeroing = fit_zeroing(schema, states(q), residuals, spread_sd=usual)
+    assert abs(zeroing.joints[3]) < np.deg2rad(3.0)
+    elsewhere = np.linalg.norm(zeroing.offset_mm(states(wide)), axis=1)
+    assert elsewhere.max() < 2.5
+    in_a_row = np.repeat(np.arange(20), 4)
+    with pytest.raises(EstimatorError, match=r"spread over .*, 50% are needed"):
+        fit_zeroing(schema, states(q[in_a_row]), residuals[in_a_row], spread_sd=usual)

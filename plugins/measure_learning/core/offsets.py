@@ -14,11 +14,15 @@ from measure.robots import SerialChain, StateSchema
 _MIN_STATES = 10
 PRIOR_SD_MM = 0.5  # of the tip's offset by each joint's zero and by the base, where not learnt
 PRIOR_LIMITS_MM = 0.1, 2.0
-_MIN_INDEPENDENT = 8.0  # observations, as their autocorrelation counts them
-_CONVINCING = 0.15  # share of one half's squares left by the other's zeros that is proof enough
+_MIN_INDEPENDENT = 12.0  # observations, as their autocorrelation counts them
+_CONVINCING = 0.15  # share of the squares left of parts by the others' zeros that is proof enough
 _APART = 0.6  # independent ones among them from which on poses are far apart in time
-_CHANCE = 2.0  # over the number of states: how much worse a half may do by chance
+_IN_A_ROW = 0.5  # what others count as: their errors are alike for longer than they show
+_PARTS = 10  # left out in turn
+_CHANCE = 4.0  # over the number of states: how much worse parts may do by chance
 _MIN_SPREAD = 0.5  # of the joints' SDs, as a share of those in training
+_APART_SPREAD = 0.15  # the same of poses far apart: they are spread as the session is
+_LEAST_LEVER_MM = 5.0  # of a joint, which scales its offset
 _CURE = "measure ten poses or more, spread over the workspace"
 _HUBER_SDS = 2.5
 _MIN_SCALE_MM = 0.05
@@ -64,10 +68,11 @@ def fit_zeroing(
     """The zeros that explain a stretch's residuals (n, 3), measured minus corrected position.
 
     Bayesian linear regression with Huber's weights on the Jacobian's columns and three constants;
-    the prior has zero mean. Observations count as many as are independent, by the autocorrelation
-    of what is left. Poses at one place, by the SDs in training if known, tell that place's error.
-    EstimatorError: fewer than 10 measured states, all at one place, the zeros of one half predict
-    the other worse than none, or not clearly better from fewer than 8 independent ones.
+    the prior has zero mean. Observations count as many as are independent, by their
+    autocorrelation, and half of that where they stand in a row. Poses at one place, by the SDs
+    in training if known, tell that place's error. EstimatorError: fewer than 10 measured states,
+    all at one place, zeros predict parts left out worse than none do, or not clearly better from
+    fewer than 12 independent ones.
     """
     floats("residuals_mm", residuals_mm, len(states), 3)
     if len(states) < _MIN_STATES:
@@ -76,22 +81,24 @@ def fit_zeroing(
         )
     independent = _independent(residuals_mm)
     apart = independent > _APART * len(states)
+    share = independent / len(states) * (1.0 if apart else _IN_A_ROW)
+    needed = _APART_SPREAD if apart else _MIN_SPREAD
     if spread_sd is not None and len(spread_sd):
         moved = schema.read(states, schema.joints or schema.position).std(axis=0)
         wide = moved / np.maximum(spread_sd, 1e-9)
-        if (spread := float(np.sqrt((wide**2).mean()))) < _MIN_SPREAD:
+        if (spread := float(np.sqrt((wide**2).mean()))) < needed:
             raise EstimatorError(
                 f"the joints of the {len(states)} measured states spread over {spread:.0%} of what "
-                f"they did in training, {_MIN_SPREAD:.0%} are needed: {_CURE}"
+                f"they did in training, {needed:.0%} are needed: {_CURE}"
             )
     design, lever = _design(schema, states)
-    left = _check_halves(design, residuals_mm, prior_sd_mm)
+    left = _check_parts(design, residuals_mm, prior_sd_mm, share)
     if independent < _MIN_INDEPENDENT and not apart and left > _CONVINCING:
         raise EstimatorError(
             f"the {len(states)} measured states tell as much of the zeros as {independent:.1f} "
             f"independent ones, their errors being alike, {_MIN_INDEPENDENT:g} are needed: {_CURE}"
         )
-    found, scatter = _regression(design, residuals_mm, prior_sd_mm)
+    found, scatter = _regression(design, residuals_mm, prior_sd_mm, share)
     within = np.einsum("nij,jk,nlk->il", design, scatter, design) / len(design)
     return Zeroing(
         shift_mm=found[-3:],
@@ -103,22 +110,23 @@ def fit_zeroing(
     )
 
 
-def _check_halves(design: Floats, residuals: Floats, prior_sd_mm: float) -> float:
-    """Refuse zeros that hold in one half only; the share of the squares left of the other."""
-    half = len(residuals) // 2
+def _check_parts(design: Floats, residuals: Floats, prior_sd_mm: float, share: float) -> float:
+    """Refuse zeros that hold in one part only; the share of the squares left of parts left out."""
+    count, rows = len(residuals), np.arange(len(residuals))
     before, after = 0.0, 0.0
-    for learnt, other in ((slice(half), slice(half, None)), (slice(half, None), slice(half))):
-        found, _ = _regression(design[learnt], residuals[learnt], prior_sd_mm)
-        without = np.linalg.norm(residuals[other], axis=1)
-        left = np.linalg.norm(residuals[other] - design[other] @ found, axis=1)
+    for part in np.array_split(rows, _PARTS):
+        others = np.setdiff1d(rows, part)
+        found, _ = _regression(design[others], residuals[others], prior_sd_mm, share)
+        without = np.linalg.norm(residuals[part], axis=1)
+        left = np.linalg.norm(residuals[part] - design[part] @ found, axis=1)
         far = 3.0 * np.median(without)  # single false detections must not decide
         before += float(np.minimum(without, far) @ np.minimum(without, far))
         after += float(np.minimum(left, far) @ np.minimum(left, far))
-    if after >= before * (1.0 + _CHANCE / len(residuals)):
-        rms = np.sqrt(np.array([after, before]) / len(residuals))
+    if after >= before * (1.0 + _CHANCE / count):
+        rms = np.sqrt(np.array([after, before]) / count)
         raise EstimatorError(
-            f"re-zeroing would do harm: the offsets of one half of the {len(residuals)} measured "
-            f"states leave {rms[0]:.2f} mm RMS of the other, none leave {rms[1]:.2f}: {_CURE}"
+            f"re-zeroing would do harm: of each tenth of the {count} measured states the offsets "
+            f"of the others leave {rms[0]:.2f} mm RMS, none leave {rms[1]:.2f}: {_CURE}"
         )
     return after / before
 
@@ -144,14 +152,21 @@ def _design(schema: StateSchema, states: Floats) -> tuple[Floats, Floats]:
     if schema.chain is None:
         return constants, np.zeros(0)
     jacobian = schema.chain.jacobian(schema.joint_positions(states))[:, :3]
-    lever = np.maximum(np.sqrt((jacobian**2).sum(axis=1).mean(axis=0)), 1e-9)
+    lever = _levers(schema.chain, np.sqrt((jacobian**2).sum(axis=1).mean(axis=0)))
     return np.concatenate([jacobian / lever, constants], axis=2), lever
 
 
-def _regression(design: Floats, residuals: Floats, prior_sd_mm: float) -> tuple[Floats, Floats]:
-    """Unknowns and their covariance."""
+def _levers(chain: SerialChain, motion: Floats) -> Floats:
+    """Of joints (k,) whose motion of the tip per unit is that; not of none where the tip rests."""
+    slides = [joint.prismatic for joint in chain.joints]
+    return np.where(slides, 1.0, np.maximum(motion, _LEAST_LEVER_MM))
+
+
+def _regression(
+    design: Floats, residuals: Floats, prior_sd_mm: float, share: float
+) -> tuple[Floats, Floats]:
+    """Unknowns and their covariance; every observation counts as that share of one."""
     prior = np.eye(design.shape[2]) / prior_sd_mm**2
-    share = _independent(residuals) / len(residuals)
     found: Floats = np.zeros(len(prior))
     covariance: Floats = np.zeros(prior.shape)
     for _ in range(5):
@@ -168,7 +183,6 @@ def _regression(design: Floats, residuals: Floats, prior_sd_mm: float) -> tuple[
 
 _MEMORY_MM = 200.0  # of the joints' motion, at their levers, in which hysteresis is forgotten
 _HOLD_S = 0.02  # the offset at the tip is computed anew after this time: at 1 kHz it hardly changes
-_LEAST_LEVER_MM = 5.0  # of a joint at the first pose, which scales its offset
 _SHARE = 0.85  # of the stated variance, what offsets of joints and base can explain
 _TRUSTED, _KEPT = 5.0, 0.97  # innovations that the stated size counts as; kept of them at each
 _LARGEST = 9.0  # of a squared innovation per axis: a single false detection must not decide
@@ -243,9 +257,7 @@ class OffsetFollower:
         self._lever = np.zeros(0)
         if (chain := self._schema.chain) is not None:
             jacobian = chain.jacobian(self._schema.joint_positions(state))[:3]
-            lever = np.maximum(np.linalg.norm(jacobian, axis=0), _LEAST_LEVER_MM)
-            slides = [joint.prismatic for joint in chain.joints]
-            self._lever = np.where(slides, 1.0, lever)
+            self._lever = _levers(chain, np.linalg.norm(jacobian, axis=0))
         design = self._design(state)
         stated = float(np.trace(correction.covariance))
         self._prior = _SHARE * stated / float((design**2).sum()) * np.eye(design.shape[1])
