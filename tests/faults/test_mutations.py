@@ -30,18 +30,18 @@ OF_ROBOTS = tuple(
 
 def test_changed_files_are_read_or_refused(tmp_path: Path) -> None:
     mutations, draw = Mutations(tmp_path / "all", QUICK, small), random.Random(36)
-    outcomes = [mutations.try_one(k, draw) for k in range(14)]
+    outcomes = [mutations.try_one(k, draw) for k in range(9)]
     assert not [one for one in outcomes if one.fault]
-    assert 3 < sum(one.refused for one in outcomes) < 14
-    assert len({one.subject for one in outcomes}) > 8
+    assert 2 < sum(one.refused for one in outcomes) < 9
+    assert len({one.subject for one in outcomes}) > 5
 
 
 @pytest.mark.slow
 def test_changed_data_sets_and_bags_are_read_or_refused(tmp_path: Path) -> None:
     mutations, draw = Mutations(tmp_path / "all", OF_ROBOTS, small), random.Random(51)
-    outcomes = [mutations.try_one(k, draw) for k in range(8)]
+    outcomes = [mutations.try_one(k, draw) for k in range(5)]
     assert not [one for one in outcomes if one.fault]
-    assert 1 < sum(one.refused for one in outcomes) < 8
+    assert 1 < sum(one.refused for one in outcomes) < 5
     assert {one.subject.split(":")[0] for one in outcomes} == {"data-set folder", "ROS 2 bag"}
 
 
