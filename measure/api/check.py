@@ -324,7 +324,7 @@ class _Looking:
         measured: Sequence[Measurement],
         shape: BodyCheck,
     ) -> Diagnosis:
-        body, cameras = self.session.body, self.session.cameras
+        body, cameras, loose = self.session.body, self.session.cameras, False
         if shape.factor or (not shape.causes and _seen(searched) < len(searched)):
             # As large as it looks the body is found, though the file or the calibration errs; and
             # where cameras stand far from where they should, if rays need not meet.
@@ -337,11 +337,13 @@ class _Looking:
                 for one, sample in zip(found, searched, strict=True)
             ]
             if _seen(again) > _BETTER * _seen(searched):
-                searched, measured = again, ()
+                searched, measured, loose = again, (), not shape.factor
         gaps_s = gaps_alone({name: s.times_s for name, s in self.session.streams.items()})
-        return diagnose_recording(
+        diagnosis = diagnose_recording(
             (searched, found), measured, body, cameras, gaps_s, squares=self._squares
         )
+        # Rays that need not meet may also be of other things than the body.
+        return Diagnosis() if loose and diagnosis.unexplained else diagnosis
 
     @cached_property
     def _squares(self) -> bool:
