@@ -165,6 +165,8 @@ def _seen(searched: Sequence[SearchSample]) -> int:
     return sum(len(sample.agreeing) for sample in searched)
 
 
+_FILE = {Word.EXCHANGED_BALLS, Word.MIRRORED}
+"""What the balls' distances alone say of the body file, and no fit of its pose."""
 _BETTER = 1.5  # Times as many sightings make another search believed
 _MOST = 0.5  # Share of what is seen that a cause explains, from which it needs no second opinion
 _FIRST_OF_ALL = (Word.EXCHANGED_CAMERAS, Word.MIRRORED, Word.EXCHANGED_CHANNELS)
@@ -325,19 +327,21 @@ class _Looking:
         shape: BodyCheck,
     ) -> Diagnosis:
         body, cameras, loose = self.session.body, self.session.cameras, False
-        if shape.factor or (not shape.causes and _seen(searched) < len(searched)):
-            # As large as it looks the body is found, though the file or the calibration errs; and
-            # where cameras stand far from where they should, if rays need not meet.
-            factor = shape.factor or 1.0
+        # As large as it looks the body is found, though the file or the calibration errs; and where
+        # cameras stand far from where they should, if rays need not meet.
+        ways = [(search_sample, shape.factor)] if shape.factor else []
+        if _seen(searched) < len(searched) and not _FILE & {cause.cause for cause in shape.causes}:
+            ways.append((loose_sample, 1.0))
+        for search, factor in ways:
             grown = body.with_centers(factor * body.centers)
             grown = grown.with_radii(factor * body.radii, body.radius_covariance)
-            search = search_sample if shape.factor else loose_sample
             again = [
                 search(one, grown, cameras, sample.time_s)
                 for one, sample in zip(found, searched, strict=True)
             ]
             if _seen(again) > _BETTER * _seen(searched):
-                searched, measured, loose = again, (), not shape.factor
+                searched, measured, loose = again, (), search is loose_sample
+                break
         gaps_s = gaps_alone({name: s.times_s for name, s in self.session.streams.items()})
         diagnosis = diagnose_recording(
             (searched, found), measured, body, cameras, gaps_s, squares=self._squares

@@ -136,7 +136,7 @@ def burst_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
         steps = np.diff(own)
         gaps = np.nonzero(steps > _DROPPED_STEPS * np.median(steps))[0] if len(steps) else steps
         sizes = np.diff(gaps)
-        if len(sizes) < _LEAST_BURSTS or np.mean(steps) < _BURST_STEPS * np.median(steps):
+        if len(gaps) < _LEAST_BURSTS or np.mean(steps) < _BURST_STEPS * np.median(steps):
             continue
         size = int(np.median(sizes))
         if size < 2 or np.mean(np.abs(sizes - size) <= 1) < 0.8:
