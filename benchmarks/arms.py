@@ -25,6 +25,7 @@ from measure_learning.simulator import Cables, Slip
 
 ESTIMATORS: dict[str, dict[str, Any]] = {
     "offset": {},
+    "mlp": {},
     "ridge": {},
     "gp": {"points": 600, "tuning_points": 150},
 }
