@@ -15,9 +15,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from measure.arrays import Floats
-from measure.geometry import RigidTransform, propagate, skew
+from measure.estimation.pose_fit import PoseObservations
+from measure.geometry import RigidTransform, propagate
 from measure.measuring.measurement import Measurement
-from measure.model import Body, Camera, Detection, Rig
+from measure.model import Body, Camera, Detection
 
 
 class TogetherStep(NamedTuple):
@@ -31,7 +32,10 @@ class TogetherStep(NamedTuple):
 def solved_together(
     pairs: Sequence[tuple[Body, Measurement]], cameras: Sequence[Camera]
 ) -> TogetherStep | None:
-    """How the poses of bodies change if they are solved together; None if no camera links them.
+    """How the poses of bodies change if they are solved together.
+
+    None if no uncertain camera sees them, or if the centres seen of one do not tell its pose: two
+    balls leave it a turn, which its solver has from elsewhere.
 
     Args:
         pairs: each body and its measurement of the same frame set, with a pose.
@@ -39,7 +43,7 @@ def solved_together(
     """
     uncertain = [camera for camera in cameras if camera.covariance is not None]
     seen = [_seen(measured, uncertain) for _, measured in pairs]
-    if not all(2 * len(views) > 6 for views in seen):
+    if not all(map(_tell_pose, seen)):
         return None
     linear = [
         _linearised(body, measured.pose.world_from_body, views, uncertain)
@@ -80,23 +84,27 @@ def _seen(measured: Measurement, cameras: Sequence[Camera]) -> _Seen:
     return [(d, off[d.ball, d.camera]) for d in used if d.camera in names]
 
 
+def _tell_pose(seen: _Seen) -> bool:
+    """Whether centres alone determine a pose, with some left to contradict each other."""
+    return len({d.ball for d, _ in seen}) > 2 and len(seen) > 3
+
+
 def _linearised(
     body: Body, place: RigidTransform, seen: _Seen, cameras: Sequence[Camera]
 ) -> _CenterEquations:
     from measure.model.rig_kernels import by_cameras
 
-    names = [camera.name for camera in cameras]
-    rows = [names.index(d.camera) for d, _ in seen]
-    rig = Rig.of([cameras[row] for row in rows])
-    arms = place.rotate(body.centers[[body.index(d.ball) for d, _ in seen]])
-    points = arms + place.translation
-    _, by_point = rig.project(points)
+    by_name = {camera.name: camera for camera in cameras}
+    rows = [list(by_name).index(d.camera) for d, _ in seen]
+    centers = PoseObservations.of([d for d, _ in seen], body, by_name, time_s=0.0)
+    _, by_pose, _ = centers.residuals(place, np.zeros(6))
     by_camera = np.zeros((len(seen), 2, len(cameras), 18))
-    by_camera[np.arange(len(seen)), :, rows] = by_cameras(rig.rows, points)
+    points = place.apply(centers.points_body)
+    by_camera[np.arange(len(seen)), :, rows] = by_cameras(centers.rig.rows, points)
     return _CenterEquations(
         np.concatenate([off for _, off in seen]),
-        np.concatenate([by_point, by_point @ skew(-arms)], axis=2).reshape(-1, 6),
-        block_diag(*[d.covariance_px for d, _ in seen]),
+        by_pose.reshape(-1, 6),
+        block_diag(*centers.noise),
         by_camera.reshape(2 * len(seen), -1),
     )
 

@@ -126,35 +126,44 @@ def _solved(places, seen, cameras, known_by):
     return [moved(x, index) for index in (0, 1)]
 
 
-def test_two_bodies_agree_about_the_cameras_that_see_both():
-    """As if both were solved in one problem, from poses solved alone; and nearer to the truth."""
+SD = np.array([*[0.3] * 3, *np.radians([0.03] * 3)])
+
+
+def _moved_cameras(true):
+    """The cameras elsewhere by a draw of what their calibration states."""
     rng = np.random.default_rng(7)
-    sd = np.array([*[0.3] * 3, *np.radians([0.03] * 3)])
-    true = list(ring(3).values())
-    covariance = np.diag(sd**2)
-    cameras = [
+    return [
         replace(
             camera,
-            world_from_camera=camera.world_from_camera.perturb(sd * rng.normal(size=6)),
-            pose_covariance=covariance,
+            world_from_camera=camera.world_from_camera.perturb(SD * rng.normal(size=6)),
+            pose_covariance=np.diag(SD**2),
         )
         for camera in true
     ]
-    places = [HERE, THERE]
-    seen = [[c.project(p.apply(RAVEN.centers)) for c in true] for p in places]
-    alone = _solved(places, seen, cameras, [[0], [1]])
-    together = _solved(places, seen, cameras, [[0, 1]])
-    measured = []
-    for pose, centers in zip(alone, seen, strict=True):
-        views, off = [], {}
-        for camera, pixels in zip(cameras, centers, strict=True):
-            predicted = camera.project(pose.apply(RAVEN.centers))
-            for ball, pixel, there in zip(RAVEN.names, pixels, predicted, strict=True):
+
+
+def _observed(pose, centers, cameras, balls=RAVEN.names):
+    """A pose, and some balls' centres (3, 2) px as each camera sees them."""
+    views, off = [], {}
+    for camera, pixels in zip(cameras, centers, strict=True):
+        predicted = camera.project(pose.apply(RAVEN.centers))
+        for ball, pixel, there in zip(RAVEN.names, pixels, predicted, strict=True):
+            if ball in balls:
                 found = Detection(ball, camera.name, 0.0, pixel, 20.0, np.eye(2) * 0.01)
                 views.append(BallView(ball, camera.name, State.EFFECTIVE, detection=found))
                 off[ball, camera.name] = pixel - there
-        one = measurement(pose, np.diag([0.3**2] * 3 + [3e-3**2] * 3))
-        measured.append(replace(one, views=tuple(views), residuals_px=off))
+    one = measurement(pose, np.diag([0.3**2] * 3 + [3e-3**2] * 3))
+    return replace(one, views=tuple(views), residuals_px=off)
+
+
+def test_two_bodies_agree_about_the_cameras_that_see_both():
+    """As if both were solved in one problem, from poses solved alone; and nearer to the truth."""
+    true = list(ring(3).values())
+    cameras, places = _moved_cameras(true), [HERE, THERE]
+    seen = [[c.project(p.apply(RAVEN.centers)) for c in true] for p in places]
+    alone = _solved(places, seen, cameras, [[0], [1]])
+    together = _solved(places, seen, cameras, [[0, 1]])
+    measured = [_observed(*one, cameras) for one in zip(alone, seen, strict=True)]
     found = relative(*measured, cameras).pose
     expected = together[1].inverse() @ together[0]
     apart = alone[1].inverse() @ alone[0]
@@ -168,3 +177,15 @@ def test_two_bodies_agree_about_the_cameras_that_see_both():
     exact = [replace(camera, pose_covariance=None) for camera in cameras]
     unmoved = relative(*measured, exact).pose.world_from_body
     np.testing.assert_allclose(unmoved.matrix, apart.matrix, atol=1e-12)
+
+
+@pytest.mark.parametrize("balls", [RAVEN.names[:2], RAVEN.names[:1]])
+def test_a_body_whose_centres_do_not_tell_its_pose_is_left_as_it_was_solved(balls):
+    true = list(ring(4).values())
+    cameras = _moved_cameras(true)
+    seen = [[c.project(p.apply(RAVEN.centers)) for c in true] for p in (HERE, THERE)]
+    measured = _observed(HERE, seen[0], cameras, balls), _observed(THERE, seen[1], cameras)
+    exact = [replace(camera, pose_covariance=None) for camera in cameras]
+    found, solved = (relative(*measured, some).pose for some in (cameras, exact))
+    np.testing.assert_allclose(found.world_from_body.matrix, solved.world_from_body.matrix)
+    np.testing.assert_allclose(found.covariance, solved.covariance)
