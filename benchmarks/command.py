@@ -26,9 +26,16 @@ def run_measure(checkout: Path, cwd: Path, *arguments: str, **environment: str) 
     Raises:
         CalledProcessError: it fails.
     """
+    run_python(checkout, "-m", "measure", *arguments, cwd=cwd, **environment)
+
+
+def run_python(
+    checkout: Path, *arguments: str, cwd: Path | None = None, **environment: str
+) -> None:
+    """The same of Python with any arguments."""
     roots = [str(checkout.resolve()), str((checkout / "plugins").resolve())]
     subprocess.run(
-        [sys.executable, "-m", "measure", *arguments],
+        [sys.executable, *arguments],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(roots), **environment},
         cwd=cwd,
         stdout=subprocess.DEVNULL,

@@ -10,17 +10,14 @@ run imports, the least of five.
 from __future__ import annotations
 
 import argparse
-import os
 import re
 import resource
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.command import run_measure
+from benchmarks.command import run_measure, run_python
 
 
 class Cost(NamedTuple):
@@ -79,12 +76,10 @@ def run(session: Path, checkout: Path, cache: Path) -> Cost:
 
 def started(checkout: Path, statement: str) -> float:
     """CPU time in s of a Python process with a statement, called as if for help; least of five."""
-    roots = [str(checkout.resolve()), str((checkout / "plugins").resolve())]
-    took, environment = [], {**os.environ, "PYTHONPATH": os.pathsep.join(roots)}
+    took = []
     for _ in range(5):
         before = _cpu_s()
-        command = [sys.executable, "-c", statement, "--help"]
-        subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=True)
+        run_python(checkout, "-c", statement, "--help")
         took.append(_cpu_s() - before)
     return min(took)
 

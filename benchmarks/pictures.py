@@ -37,7 +37,8 @@ STAGES: dict[str, CameraSensor] = {
     "and noise": _NOISY,
     "and a mosaic": _MOSAIC,
     "and JPEG quality 90, colour at full resolution": replace(WEBCAM, chroma="444"),
-    "and colour at half the resolution (4:2:0)": WEBCAM,
+    "and colour at half the width (4:2:2)": replace(WEBCAM, chroma="422"),
+    "and at half the height, too (4:2:0)": WEBCAM,
     "and blur of 0.9 px, sharpening, quality 80": _CHEAP,
 }
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.estimation.pose_fit import PoseObservations
-from measure.geometry import RigidTransform, propagate, skew
+from measure.geometry import RigidTransform, chart_jacobian, propagate
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose
 
 _SYSTEMATIC_PX = 0.3
@@ -119,7 +119,7 @@ class FrameSetObservations:
         assert self.rows is not None
         s, arms = self.rows, pose.world_from_body.rotate(self.rows.points_body)
         _, by_point = s.rig.project(arms + pose.world_from_body.translation)
-        by_pose = np.nan_to_num(np.concatenate([by_point, by_point @ -skew(arms)], axis=2))
+        by_pose = np.nan_to_num(by_point @ chart_jacobian(arms))
         weight = np.linalg.inv(s.noise + _SYSTEMATIC_PX**2 * np.eye(2))
         square = np.swapaxes(by_pose, 1, 2) @ weight @ by_pose
         return square, np.linalg.pinv(square.sum(axis=0), rcond=_SINGULAR, hermitian=True)

@@ -49,16 +49,16 @@ def has_full_color(data: bytes) -> bool:
 
 def with_coarse_color(image: Image, expected: Sequence[Expectation]) -> Image:
     """The same picture with colour at half the resolution where balls are expected."""
-    pixels = np.array(image.pixels)
-    size_wh = np.array(pixels.shape[1::-1]) // 2 * 2
+    size_wh = np.array(image.pixels.shape[1::-1]) // 2 * 2
     centers = np.array([one.center_px for one in expected])
-    reach = [2 * one.radius_px[1] + one.reach_px + _BEYOND_PX for one in expected]
-    boxes = np.stack([centers - np.array(reach)[:, None], centers + np.array(reach)[:, None]])
+    reach = np.array([[2 * one.radius_px[1] + one.reach_px + _BEYOND_PX] for one in expected])
+    boxes = np.stack([centers - reach, centers + reach])
     boxes = np.clip(boxes // 2 * 2, 0, size_wh).astype(np.int64)
     shown = (boxes[0] < boxes[1]).all(axis=1)
     if not shown.any():
         return image
     low, high = boxes[0, shown].min(axis=0), boxes[1, shown].max(axis=0)
+    pixels = np.array(image.pixels)
     part = pixels[low[1] : high[1], low[0] : high[0]]
     colored = cv2.cvtColor(part, cv2.COLOR_BGR2YCrCb)
     size = (part.shape[1], part.shape[0])
