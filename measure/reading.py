@@ -17,6 +17,7 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 
 from measure.errors import MeasureError
+from measure.limits import MOST_LISTED
 
 MAX_TEXT_BYTES = 64 << 20  # Largest file of text: millions of rows
 _MAX_TOML_BYTES = 8 << 20
@@ -213,8 +214,13 @@ def missing_message(path: Path) -> str:
     near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.7)
     if near:
         return f"{path}: no such file; did you mean {' or '.join(near)}?"
-    shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-    return f"{path}: no such file; {folder} holds {shown or 'nothing'}"
+    return f"{path}: no such file; {folder} holds {listed(names)}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first of some names, as a message shows them."""
+    shown = ", ".join(names[:MOST_LISTED]) + (", ..." if len(names) > MOST_LISTED else "")
+    return shown or "nothing"
 
 
 def _reason(problem: Exception) -> str:

@@ -14,9 +14,9 @@ from measure import model
 from measure.arrays import Floats
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
+from measure.model.camera import USUAL_FOCAL
 from measure.session import read_calibration
 
-_USUAL_FOCAL = 0.72  # Focal length over the longer side of a picture, of ordinary webcams
 _USUAL_LOG_SD, _TAG_LOG_SD = 0.8, 0.15
 """Standard deviation of the logarithm of a focal length that is assumed: between 0.3 and 1.6 times
 the longer side, most are; and of one by the picture's tags: pictures are cropped."""
@@ -79,7 +79,7 @@ class LensOf:
     def of(self, width: int, height: int, picture: Path) -> model.Camera:
         """The camera that took a picture of this size; ConfigError if it is of another."""
         if self._calibrated is None:
-            focal = self._focal_px or _USUAL_FOCAL * max(width, height)
+            focal = self._focal_px or USUAL_FOCAL * max(width, height)
             matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]
             lens = model.Intrinsics((width, height), np.array(matrix), np.zeros(5))
             return model.Camera("camera", lens, RigidTransform.identity())

@@ -19,7 +19,7 @@ from measure.api.profiles import load_profile
 from measure.arrays import Bytes, Floats
 from measure.calibration import open_capture, patterns
 from measure.calibration.board_views import board_pose
-from measure.calibration.boards import aruco_dictionary, mapped
+from measure.calibration.boards import MIN_MARKS, aruco_dictionary, mapped
 from measure.calibration.markers import find_markers
 from measure.calibration.procedure import check_calibrated
 from measure.calibration.targets import MarkerField, kind_of, read_markers
@@ -35,7 +35,6 @@ TAG_FAMILIES = ("APRILTAG_36H11", "4X4_100", "5X5_100", "6X6_250")
 _CAPTURE = "capture.toml"
 _REACH_PX = 25.0  # How far from a click the middle of what is meant may be
 _CORNER_HALF_PX = 3  # Of the window about a corner: its own edges, and nothing beside them
-_FEWEST = 4  # Marks from which the others of a picture are predicted
 
 
 @dataclass(frozen=True)
@@ -224,7 +223,7 @@ class Marking:
             (seen,) = detect([self.pictures[camera]], registry, load_profile(), body, known)
             found |= {d.ball: _mark(d.center_px, d.radius_px) for d in reversed(seen.detections)}
         at = {n: np.array(m.center_px) for n, m in (found | mine).items() if n in self.points}
-        if len(at) >= _FEWEST and kind in ("dot", "cross"):
+        if len(at) >= MIN_MARKS and kind in ("dot", "cross"):
             field = MarkerField(tuple(self.points), np.stack([*self.points.values()]))
             points = np.stack([self.points[name] for name in at])
             pose = board_pose(lens, points, np.stack([*at.values()])).inverse()

@@ -21,7 +21,7 @@ from measure.session import Session
 
 RUN_UP_S = 3.0
 """What trackers know at any time they have from little more than the last seconds."""
-_FIRST_RECALLED, _RECALLED_FRAME_SETS = 4, 4
+_RECALLED = 4
 """Power of two up to which the burn-in reaches; and enough frame sets for a ball to be found."""
 
 
@@ -55,9 +55,9 @@ def _with_run_up(session: Session, start: int) -> Iterator[FrameSet]:
     """
     times_s = session.pair().times_s
     last = int(np.searchsorted(times_s, times_s[start] - RUN_UP_S)) if start else 0
-    for power in range(_FIRST_RECALLED, last.bit_length()):
+    for power in range(_RECALLED, last.bit_length()):
         # Left as soon as it is read: no longer is ahead than is measured.
-        few = range(2**power - 1, min(2**power - 1 + _RECALLED_FRAME_SETS, last))
+        few = range(2**power - 1, min(2**power - 1 + _RECALLED, last))
         yield from islice(session.frame_sets(start=few.start, prefetch=len(few)), len(few))
     yield from session.frame_sets(start=last)
 

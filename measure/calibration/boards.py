@@ -302,7 +302,7 @@ def sharpness(gray: Bytes, pixels: Floats) -> float:
 
 DICTIONARY = "DICT_APRILTAG_36h11"
 BORDER_BITS = 2  # Width of the tags' black border in cells, as Kalibr prints them; others print one
-_LEAST_TAGS = 4
+MIN_MARKS = 4  # Places that tell how a flat thing lies, and one of them more than a line
 _CORNERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 """Of a tag, in its sides: in this order half a turn of the board reverses all numbers."""
 _AROUND = np.array([0, 1, 3, 2])  # The same in the order of OpenCV's markers: clockwise
@@ -337,7 +337,7 @@ class AprilGrid(Board):
         """The corners in a grey picture (h, w), or None where there are fewer than four tags."""
         for border in (BORDER_BITS, 1):
             tags, pixels = self._detected(gray, border)
-            if len(tags) >= _LEAST_TAGS:
+            if len(tags) >= MIN_MARKS:
                 break
         else:
             return None

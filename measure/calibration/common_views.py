@@ -25,11 +25,11 @@ from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.least_squares import LeastSquaresSolution
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, UncertainTransform, chart_jacobian, skew
+from measure.limits import CLEAR_RATIO, HUBER_SIGMAS
 from measure.model import Camera, Intrinsics
 
-_HUBER_REACH = 4.0
 _MIN_COMMON = 3
-_SAME_SHARE, _CLEAR_RATIO, _OTHER_RAD = 0.02, 3.0, 0.5
+_SAME_SHARE, _OTHER_RAD = 0.02, 0.5
 """Views agree about a camera's pose if they differ by no more than this share of the board's
 diagonal, and alone about it if they differ so much more about any pose that is so far from it."""
 _APART_SHARE = 0.1  # Views that disagree by more were not taken together
@@ -69,7 +69,7 @@ def fit_common_views(
         seen.append(CameraViews.of([*mine.values()], instants, lens.fit.sd_px, lens.model.free))
     problem = BoardProblem(board.points, seen)
     start = BoardState(cameras, stack([boards[instant] for instant in order]))
-    solution = problem.solve(start, _HUBER_REACH)
+    solution = problem.solve(start, HUBER_SIGMAS)
     poses = solution.state.world_from_board
     corners = np.einsum("fij,nj->fni", poses.rotation, board.points) + poses.translation[:, None]
     points = corners.reshape(-1, 3)
@@ -157,7 +157,7 @@ def _agreed_pose(
             f"camera {name}: sees the board {misfit[best]:.0f} mm from where the others see it: "
             f"{_NOT_TOGETHER}"
         )
-    if len(turns) > 1 and other < max(_SAME_SHARE * diagonal, _CLEAR_RATIO * misfit[best]):
+    if len(turns) > 1 and other < max(_SAME_SHARE * diagonal, CLEAR_RATIO * misfit[best]):
         raise CalibrationError(
             f"camera {name}: {same_after(board)}, and the common views fit two poses of the "
             "camera: tilt the board to other sides between pictures, or use one with an odd and an "

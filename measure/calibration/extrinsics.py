@@ -39,10 +39,10 @@ from measure.calibration.rig_problem import (
 )
 from measure.errors import CalibrationError
 from measure.geometry import skew
+from measure.limits import MAX_STEPS
 from measure.model import Camera
 
 _HUBER = Huber(3.0)
-_MAX_WEIGHT_ROUNDS = 6
 _MIN_CORNER_SD_PX = 0.01
 MIN_MARK_SD_PX = 0.02
 START_CORNER_SD_PX = 0.1
@@ -83,7 +83,7 @@ def fit_rig(
     state = RigState(start, observations.markers, boards, offsets)
     sds = np.array([corner_sd_px or START_CORNER_SD_PX, mark_sd_px or START_MARK_SD_PX])
     fixed = np.array([corner_sd_px is not None, mark_sd_px is not None])
-    for _ in range(_MAX_WEIGHT_ROUNDS):
+    for _ in range(MAX_STEPS):
         problem = RigProblem(start, observations, layout, sds)
         solution = solve(problem.linearise, problem.step, state, _HUBER)
         state = solution.state
@@ -168,7 +168,6 @@ light from above shifts the dots of all cameras upwards, which no residual shows
 DEFAULT_COMMON_PX = 0.2  # Taken for that offset where no boards determine it
 _PAST_PEAK_LOG_LIKELIHOOD = 10.0
 """The search ends at a candidate whose log likelihood is lower than the best by this."""
-_MIN_CAMERAS_WITH_BOTH = 2
 
 
 def fit_rig_with_boards(
@@ -189,7 +188,7 @@ def fit_rig_with_boards(
         for n in observations.boards
         if n in observations.marks and len(observations.marks[n].ids) >= 3
     ]
-    if len(both) < _MIN_CAMERAS_WITH_BOTH:
+    if len(both) < 2:
         return fit_rig(start, observations, mark_sd_px=mark_sd_px), observations.tolerances
     boards = [observations.tolerances]
     if not boards_stated:

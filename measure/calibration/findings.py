@@ -14,9 +14,8 @@ from measure.calibration.starts import ZOOMED, ZOOMED_CURE, mark_rms, mm_per_px,
 from measure.checking import Finding, Level
 from measure.errors import DegenerateGeometryError
 from measure.geometry import Rays, nearest_point
+from measure.limits import CLEAR_RATIO
 from measure.model import Camera
-
-_GRID = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +27,7 @@ class Workspace:
 
     def grid(self) -> Floats:
         """Points (27, 3) across the box."""
-        steps = np.linspace(-1, 1, _GRID)
+        steps = np.linspace(-1, 1, 3)
         offsets = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
         return self.center + offsets * self.half
 
@@ -54,15 +53,13 @@ SUB_MM_SD_MM = 0.3
 _MAX_MARK_PX = 1.5
 _MAX_MARK_MM = 0.35
 _SAME_PLACE_MM = 5.0
-_MAX_STRETCH = 0.002  # Of a board: half of it is an error of all lengths
+MAX_STRETCH = 0.002  # Of a board: half of it is an error of all lengths
 _MAX_BOW_MM = 0.4  # 1 mm in a board of 225 mm makes 0.15 mm of the pose's error
 _MIN_COVERED_SHARE = 0.4
 _NOTED_DISAGREEMENT_MM = 0.5
-_ZOOM_ASKED_MM, _ZOOM_LEAVES = 0.3, 0.4
+_ZOOM_LEAVES = 0.4
 """Disagreement from which a zoom is thought of, and the share of it, in px, that one leaves. Boards
 that were moved by millimetres leave more."""
-_STANDS_OUT_RATIO = 3.0
-"""A camera whose board and markers disagree by so many times what the others' do stands out."""
 
 
 def mark_findings(rig: RigCalibration) -> list[Finding]:
@@ -89,7 +86,7 @@ def zoomed_cameras(rig: RigCalibration) -> dict[str, float]:
     """Cameras whose board and markers disagree, but for so large pictures."""
     out, seen = {}, rig.observations
     for start in rig.cameras_before:
-        if rig.disagreement_mm.get(start.name, 0.0) > _ZOOM_ASKED_MM:
+        if rig.disagreement_mm.get(start.name, 0.0) > SUB_MM_SD_MM:
             marks = seen.marks[start.name]
             zoom, left = zoomed(start, seen.boards[start.name], rig.markers, marks)
             if left < _ZOOM_LEAVES * mark_rms(start, rig.markers.points, marks):
@@ -117,7 +114,7 @@ def disagreement_findings(rig: RigCalibration) -> list[Finding]:
     for name, apart in rig.disagreement_mm.items():
         others = [mm for other, mm in rig.disagreement_mm.items() if other != name]
         usual = float(np.median(others)) if others else 0.0
-        if apart > max(_NOTED_DISAGREEMENT_MM, _STANDS_OUT_RATIO * usual):
+        if apart > max(_NOTED_DISAGREEMENT_MM, CLEAR_RATIO * usual):
             than = f" (the others by {usual:.2f} mm)" if others else ""
             text = (
                 f"board and markers disagree by {apart:.2f} mm{than}: the camera or the board "
@@ -146,7 +143,7 @@ def board_findings(rig: RigCalibration) -> list[Finding]:
             f"all lengths may be off by {abs(share) / 2:.2%}; measure both sides and state them as "
             "square_mm = [along x, along y]"
         )
-        level = Level.WRONG if abs(share) > _MAX_STRETCH else Level.WEAK
+        level = Level.WRONG if abs(share) > MAX_STRETCH else Level.WEAK
         findings.append(Finding(level, "boards", text))
     bowed = [
         f"{abs(mm):.2f} +- {mm_sd:.2f} mm along {axis}"

@@ -20,10 +20,10 @@ from measure.calibration.board_views import (
 from measure.calibration.boards import Board, CornerRule, Corners
 from measure.calibration.views import MIN_VIEWS, ViewSet
 from measure.errors import CalibrationError
+from measure.limits import CLEAR_RATIO, SIGNIFICANT_SIGMAS
 from measure.model import Intrinsics, Projection
 
-_FOLDS = 5
-_WORST_VIEW_RATIO = 3.0
+FOLDS = 5
 _MIN_IMPROVEMENT_RATIO = 0.005
 """A freer model must lower the held-out error by this share to be chosen."""
 MAX_FOCAL_SD = 0.03  # Focal lengths known worse than this share are refused
@@ -84,7 +84,7 @@ def _calibrate(
 _TRIED = np.array([0.004, 0.4, 0.4])
 """Steps by which shapes are tried, a share and mm: errors of corners grow in proportion to them."""
 _UNKNOWN = np.array([0.1, 10.0, 10.0])  # Standard deviations of what no picture shows
-_SIGMAS, _LEAST = 5.0, np.array([5e-4, 0.15, 0.15])
+_LEAST = np.array([5e-4, 0.15, 0.15])
 """From which a board is believed not to be as drawn: one that is shows a third of that at most."""
 
 
@@ -100,7 +100,7 @@ class BoardShape:
     @property
     def seen(self) -> Floats:
         """The same (3,), but 0 where it is not significant."""
-        clear = np.abs(self.values) > np.maximum(_SIGMAS * self.sds, _LEAST)
+        clear = np.abs(self.values) > np.maximum(SIGNIFICANT_SIGMAS * self.sds, _LEAST)
         return np.where(clear, self.values, 0.0)
 
 
@@ -167,7 +167,7 @@ def _without_bad_views(board: Board, views: ViewSet, camera: str, model: LensMod
         fit = _fit(board.points, views, tuple(kept), model, huber=1.0)
         rms = fit.view_rms_px()
         worst = int(np.argmax(rms))
-        if rms[worst] <= _WORST_VIEW_RATIO * np.median(rms) + 0.1:
+        if rms[worst] <= CLEAR_RATIO * np.median(rms) + 0.1:
             return replace(views, views=tuple(kept), left_out=left_out)
         left_out[kept[worst].source] = (
             f"its corners miss by {rms[worst]:.2f} px, the others by {np.median(rms):.2f} px"
@@ -231,10 +231,10 @@ def _choose_model(
 def _held_out_rms(points: Floats, views: ViewSet, model: LensModel) -> float:
     """RMS of views that the lens was not fitted to (their board pose alone is), by folds."""
     squares, count = 0.0, 0
-    for fold in range(min(_FOLDS, len(views.views))):
-        kept = tuple(v for i, v in enumerate(views.views) if i % _FOLDS != fold)
+    for fold in range(min(FOLDS, len(views.views))):
+        kept = tuple(v for i, v in enumerate(views.views) if i % FOLDS != fold)
         lens = _fit(points, views, kept, model).intrinsics
-        for view in views.views[fold::_FOLDS]:
+        for view in views.views[fold::FOLDS]:
             error = fit_pose_only(lens, points, view).residuals
             squares, count = squares + float(np.sum(error**2)), count + len(error)
     return float(np.sqrt(squares / count))

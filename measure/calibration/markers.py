@@ -10,6 +10,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
 from measure.calibration import patterns
+from measure.calibration.boards import MIN_MARKS
 from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.rig_problem import MarkerObservation
 from measure.calibration.targets import MarkerField
@@ -24,7 +25,6 @@ _FIRST_REACH_PX = 40.0
 _LAST_REACH_PX = 4.0
 _ASSIGNMENT_ROUNDS = 6
 _SIZE_RATIO = 1.35
-_MIN_MARKERS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +49,15 @@ def find_markers(
     candidates = (
         patterns.dot_candidates(light) if kind == "dot" else patterns.cross_candidates(light)
     )
-    if len(candidates) < _MIN_MARKERS:
+    if len(candidates) < MIN_MARKS:
         raise CalibrationError(
             f"camera {camera.name}: {len(candidates)} {plural} in the marker picture, at least "
-            f"{_MIN_MARKERS} are needed; mark them by hand in marks.csv"
+            f"{MIN_MARKS} are needed; mark them by hand in marks.csv"
         )
     rough = np.stack([candidate.center_px for candidate in candidates])
     for reach in np.geomspace(_FIRST_REACH_PX, _LAST_REACH_PX, _ASSIGNMENT_ROUNDS):
         ids, numbers = assign(camera.project(markers.points), rough, float(reach))
-        if len(ids) < _MIN_MARKERS:
+        if len(ids) < MIN_MARKS:
             raise CalibrationError(
                 f"camera {camera.name}: only {len(ids)} {plural} lie within {reach:.0f} px of "
                 "where the board's pose puts the markers; are board and markers in the same "

@@ -23,11 +23,11 @@ import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.geometry.covariance import MAD_TO_SD
+from measure.limits import MAX_STEPS
 from measure.model import Intrinsics
 
 BLUR_PX = 0.8  # Optics and colour mosaic together; the fits of recorded dots are best about here
 SUPERSAMPLING = 3
-_MAX_ITERATIONS = 25
 _NUDGE_PX = 0.1
 _TUKEY_SDS = 4.7
 _UNEXPLAINED_RESIDUAL = 0.25
@@ -83,7 +83,7 @@ def fit_pattern(
         least: (k,) lower bounds of the unknowns.
     """
     unknowns, robust = start, np.ones_like(values)
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(MAX_STEPS):
         weights = root**2 * robust
         step = _step(values, weights, unknowns, basis)
         unknowns = np.maximum(unknowns + step, least)

@@ -18,11 +18,13 @@ from measure.calibration.rig_problem import BoardObservation, MarkerObservation
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
+from measure.limits import CLEAR_RATIO
 from measure.model import Camera, Intrinsics
+from measure.model.body import MIN_BREADTH_RATIO
+from measure.reading import listed
 from measure.session import read_picture
 
 _MIN_MARKS_ALONE = 6
-_FLAT_RATIO = 0.02
 _MAX_BOARD_RMS_PX = 3.0
 CONTRADICTION_PX = 8.0
 _NO_POSE = (
@@ -98,14 +100,11 @@ def _check_spread(name: str, points: Floats) -> None:
             f"{len(points)} are marked"
         )
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if extent[2] < _FLAT_RATIO * extent[0]:
+    if extent[2] < MIN_BREADTH_RATIO * extent[0]:
         raise CalibrationError(
             f"camera {name}: without a board the markers must not lie in one plane (extents "
             f"{extent[0]:.0f}, {extent[1]:.0f}, {extent[2]:.1f} mm)"
         )
-
-
-_CLEAR_RATIO = 3.0  # How much worse the marks must fit any other turn
 
 
 def oriented_board(
@@ -129,7 +128,7 @@ def oriented_board(
         return turned[int(np.argmin(apart))]
     misfit = [_misfit_px(camera, lens, one, capture) for one in turned]
     best, second = np.sort(misfit)[:2]
-    if best < second and second > max(CONTRADICTION_PX, _CLEAR_RATIO * best):
+    if best < second and second > max(CONTRADICTION_PX, CLEAR_RATIO * best):
         return turned[int(np.argmin(misfit))]
     places = " or ".join(f"[{u:.0f}, {v:.0f}]" for u, v in origins)
     raise CalibrationError(
@@ -320,4 +319,4 @@ def _permuted(start: Camera, markers: MarkerField, marks: MarkerObservation) -> 
         for i, n in zip(ids, numbers, strict=True)
         if marks.ids[n] != i
     ]
-    return ", ".join(renamed[:4]) + (", ..." if len(renamed) > 4 else "")
+    return listed(renamed)

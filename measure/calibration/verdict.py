@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from measure.arrays import Floats
 from measure.calibration.extrinsics import fit_rig
 from measure.calibration.findings import (
+    MAX_STRETCH,
     Workspace,
     accuracy_findings,
     board_findings,
@@ -23,17 +24,15 @@ from measure.calibration.findings import (
     zoom_findings,
     zoomed_cameras,
 )
+from measure.calibration.intrinsics import FOLDS
 from measure.calibration.procedure import RigCalibration
 from measure.calibration.rig_problem import MarkerObservation, RigObservations
 from measure.checking import Finding, Level, worst_first
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import Rays, RigidTransform, nearest_point
+from measure.limits import SIGNIFICANT_SIGMAS
 from measure.model import Body, Camera
-
-_FOLDS = 4
-_SCALE_SDS = 4.0
-_MIN_SCALE_ERROR = 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +97,7 @@ def _held_out(rig: RigCalibration) -> tuple[float, float]:
     if rig.fit is None or rig.method == "paper" or not rig.observations.marks:
         return float("nan"), float("nan")
     squares_px, squares_mm, count = 0.0, 0.0, 0
-    for fold in range(_FOLDS):
+    for fold in range(FOLDS):
         kept, left = _split(rig.observations.marks, fold)
         try:
             fit = fit_rig(
@@ -128,7 +127,7 @@ def _split(
 ) -> tuple[dict[str, MarkerObservation], dict[str, MarkerObservation]]:
     kept, left = {}, {}
     for name, seen in marks.items():
-        out = np.arange(len(seen.ids)) % _FOLDS == fold
+        out = np.arange(len(seen.ids)) % FOLDS == fold
         kept[name] = replace(seen, ids=seen.ids[~out], pixels=seen.pixels[~out])
         left[name] = replace(seen, ids=seen.ids[out], pixels=seen.pixels[out])
     return kept, left
@@ -149,7 +148,7 @@ def _scale(rig: RigCalibration) -> tuple[float, list[Finding]]:
     scale = float(np.sqrt(np.sum(a**2) / np.sum(b**2)))
     _, misfit = Rotation.align_vectors(a, scale * b)
     sd = float(misfit / np.sqrt((3 * len(ids) - 7) * np.sum(b**2)))
-    if abs(scale - 1) > max(_SCALE_SDS * sd, _MIN_SCALE_ERROR):
+    if abs(scale - 1) > max(SIGNIFICANT_SIGMAS * sd, MAX_STRETCH):
         text = (
             "boards and markers disagree about size: by the boards the marker field is "
             f"{scale:.4f} (+- {sd:.4f}) times its stated size; measure a printed square and the "

@@ -11,6 +11,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, rms_length
 from measure.calibration import boards
+from measure.calibration.boards import MIN_MARKS
 from measure.errors import CalibrationError
 
 _FAMILIES = (
@@ -20,7 +21,6 @@ _FAMILIES = (
 )
 """The largest dictionary of each family: the smaller ones are its first markers."""
 _SMALLER = (50, 100, 250)
-_LEAST_MARKERS = 4
 
 
 def charuco_slip(board: boards.Board, grays: Sequence[Bytes]) -> str:
@@ -75,7 +75,7 @@ def _families_seen(
     return [
         (len(found), name, inverted, max(found))
         for found, name in zip(ids, families, strict=True)
-        if len(found) >= _LEAST_MARKERS
+        if len(found) >= MIN_MARKS
     ]
 
 
@@ -105,7 +105,7 @@ ALIKE_SHARE = 0.02
 """Views whose corners moved by less than this share of the image diagonal are one view."""
 SAME_SHARE = 0.004  # Views that differ by less than this are the same: the second one is left out
 _EXPLAINED = 3  # Pictures in which another board than the stated one is looked for
-_BLURRED_SHARE = 0.5
+BLURRED_SHARE = 0.5
 _COVERAGE_GRID = (8, 6)
 
 
@@ -187,7 +187,7 @@ def choose_views(
 ) -> ViewSet:
     """Keep sharp views that differ, the most different first; CalibrationError if too few do."""
     left_out = dict(left_out or {})
-    floor = _BLURRED_SHARE * float(np.median([view.sharpness for view in seen]))
+    floor = BLURRED_SHARE * float(np.median([view.sharpness for view in seen]))
     sharp = []
     for view in seen:
         if view.sharpness < floor:

@@ -15,22 +15,21 @@ from measure.calibration.boards import Board, Corners
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.findings import workspace_of
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.views import ALL_VIEWS, MIN_VIEWS, choose_views, outline
+from measure.calibration.views import ALL_VIEWS, BLURRED_SHARE, MIN_VIEWS, choose_views, outline
 from measure.errors import CalibrationError, DegenerateGeometryError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Intrinsics
+from measure.model.camera import USUAL_FOCAL
 
 _NEW_SHARE = 0.06  # Share of the diagonal by which a view differs from those that are kept
 _SLIP_PX = 0.5  # How far the board may move between the pictures of one instant
 _FAR_PX = 12.0  # Corners nearer to each other than this are found seldom, and badly
 _SLOW_S = 1.0  # A computer that looks more seldom than this is told of: hands wait for it
-_BLURRED_SHARE = 0.5
 _UNSEEN_LOOKS = 30  # In succession, before it is asked whether the board is the one that was chosen
 _FIT_EVERY = 4  # Instants after which the cameras are fitted again
 _FEWEST, _COMMON = 8, 4  # Views of a camera, and of two neighbours, from which the fit may decide
 _TILTED_DEG, _TILTS, _DISTANCES = 20.0, 4, 1.3
-_FOCAL = 0.72  # Focal length over the longer side, of ordinary webcams
 _ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
 
 
@@ -215,7 +214,7 @@ class BoardWave:
 
     def _is_blurred(self, name: str, view: Corners) -> bool:
         usual = [one[name].sharpness for one in self.kept if name in one]
-        return bool(usual) and view.sharpness < _BLURRED_SHARE * float(np.median(usual))
+        return bool(usual) and view.sharpness < BLURRED_SHARE * float(np.median(usual))
 
     def _camera(self, name: str) -> CameraWave:
         width, height = self.sizes_wh[name]
@@ -235,7 +234,7 @@ class BoardWave:
     def _pose(self, name: str, view: Corners) -> tuple[float, float]:
         """Tilt in degrees and distance in mm of the board, by an ordinary lens; NaN if by none."""
         width, height = self.sizes_wh[name]
-        matrix = np.diag([_FOCAL * max(width, height)] * 2 + [1.0])
+        matrix = np.diag([USUAL_FOCAL * max(width, height)] * 2 + [1.0])
         matrix[:2, 2] = width / 2, height / 2
         plain = Intrinsics((width, height), matrix, np.zeros(5))
         try:

@@ -15,6 +15,7 @@ from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import BodyOptions, InjectedRegistry, ProfileOptions, ViewerOptions
 from measure.errors import ConfigError
+from measure.limits import MOST_LISTED
 from measure.results import Summary
 from measure.results.summary import WHICH_ACCURACY
 
@@ -97,9 +98,6 @@ def _print_one(summary: Summary, session: Path, out: Path, json: bool) -> None:
     console.print_text(f"written to {out}; look at it with: measure view {out}")
 
 
-_REASONS_SHOWN = 5  # Lines; those after the commonest few seldom tell another cause
-
-
 def print_summary(summary: Summary) -> None:
     """Print a run's summary, the reasons for missing poses, and the notes."""
     console.print_text(summary.sentence())
@@ -108,10 +106,10 @@ def print_summary(summary: Summary) -> None:
     for name, one in summary.bodies.items():
         console.print_text(f"  {name}: {one.sentence()}")
     reasons = list(summary.reasons.items())
-    for reason, count in reasons[:_REASONS_SHOWN]:
+    for reason, count in reasons[:MOST_LISTED]:
         console.print_text(f"  {count} x {reason}")
-    if len(reasons) > _REASONS_SHOWN:
-        more = len(reasons) - _REASONS_SHOWN
+    if len(reasons) > MOST_LISTED:
+        more = len(reasons) - MOST_LISTED
         console.print_text(f"  and {more} rarer kinds, which summary.json lists")
     for note in summary.notes:
         levelled = note.startswith(("wrong: ", "weak: "))

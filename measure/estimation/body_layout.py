@@ -10,9 +10,9 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import align_points
+from measure.limits import SIGNIFICANT_SIGMAS
 from measure.model import Body
 
-_MAX_DISTANCE_SIGMAS = 4.0
 _MAX_MIRRORED_RMS_RATIO = 0.5
 """RMS of the mirrored body over the body's own below which the centres are called mirrored."""
 _MIN_THICKNESS_MM = 1.0  # A body thinner than this about its plane is its own mirror image
@@ -39,7 +39,7 @@ def layout_flags(
         for (one, other), (measured, expected, sd) in zip(
             combinations(balls, 2), pairs, strict=True
         )
-        if abs(measured - expected) > _MAX_DISTANCE_SIGMAS * sd + tolerance_mm
+        if abs(measured - expected) > SIGNIFICANT_SIGMAS * sd + tolerance_mm
     ]
     if looks_mirrored(points_body, centers):
         flags.append("the balls form the mirror image of the body")

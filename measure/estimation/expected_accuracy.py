@@ -14,13 +14,12 @@ from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform, chart_jacobian
+from measure.limits import SINGULAR
 from measure.model import Body, Camera, Detection
 
 WORLD_SCALE_SD = 6e-4
 """Share by which the world may be larger or smaller than its calibration says, always: no recording
 of balls 76 mm apart shows less (docs/explanation/uncertainty.md)."""
-_MIN_EIGENVALUE_RATIO = 1e-9
-"""Directions with a smaller share of the largest eigenvalue are undetermined by the balls used."""
 
 
 def noise_sd(
@@ -66,7 +65,7 @@ def tolerance_covariance(
         balls: names of those it was measured with.
     """
     J = chart_jacobian(world_from_body.rotate(body.centers_of(balls))).reshape(-1, 6)
-    share = np.linalg.pinv(J.T @ J, rcond=_MIN_EIGENVALUE_RATIO, hermitian=True)
+    share = np.linalg.pinv(J.T @ J, rcond=SINGULAR, hermitian=True)
     return np.asarray(body.tolerance_mm**2 * share, dtype=np.float64)
 
 

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Singles
+from measure.limits import SIGNIFICANT_SIGMAS, STUDENT_DEGREES
 from measure.model import Camera, FrameSet
 
 _BLOCK = 32  # Side of a block, in pixels of the picture reduced to half
@@ -25,9 +26,7 @@ _NOISE = 0.05
 _SLOPE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12
 """Derivative, right for polynomials of the fourth degree."""
 _LEAST_BLOCKS = 40
-_DEGREES = 4.0
 _ITERATIONS = 20
-_RED, _BLUE = 2, 0
 
 
 class LateralColor(NamedTuple):
@@ -50,7 +49,7 @@ def lateral_color(pictures: Iterable[tuple[Bytes, Floats]]) -> LateralColor | No
     for picture, principal_point in pictures:
         small = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         blurred = cv2.GaussianBlur(small.astype(np.float32), (0, 0), _BLUR_PX)
-        for channel, blocks in zip((_RED, _BLUE), found, strict=True):
+        for channel, blocks in zip((2, 0), found, strict=True):  # red and blue of BGR
             blocks.append(
                 _blocks(np.asarray(blurred, np.float32), channel, (principal_point - 0.5) / 2)
             )
@@ -98,14 +97,12 @@ def _robust_mean(blocks: Floats) -> tuple[float, float]:
     mean, used = float(np.average(values, weights=weights)), weights
     for _ in range(_ITERATIONS):
         square = (values - mean) ** 2 * weights
-        used = weights / (_DEGREES + square / max(float(np.median(square)) / 0.455, 1e-30))
+        used = weights / (STUDENT_DEGREES + square / max(float(np.median(square)) / 0.455, 1e-30))
         mean = float(np.average(values, weights=used))
     scatter = float(np.sqrt(np.sum((used * (values - mean)) ** 2)) / np.sum(used))
     return mean, scatter
 
 
-_FRAME_SETS, _STEP = 3, 4
-_SIGMAS = 4.0
 _FLOOR_PX = 0.04
 """Standard deviation at the picture's corner by colours of the scene, however many blocks agree."""
 _SAME_FOCAL = 1.06  # Cameras whose focal lengths differ by no more than this factor are of one make
@@ -125,7 +122,7 @@ def with_lateral_color(
     unknown = [camera for camera in cameras if camera.intrinsics.lateral_color is None]
     if not unknown:
         return tuple(cameras)
-    seen = list(islice(frame_sets, 0, _STEP * _FRAME_SETS, _STEP))
+    seen = list(islice(frame_sets, 0, 12, 4))
     found: dict[str, Camera] = {}
     for camera in unknown:
         if camera.name not in found:
@@ -151,7 +148,7 @@ def _informed(alike: Sequence[Camera], seen: Sequence[FrameSet]) -> list[Camera]
     if found is None:
         return list(alike)
     corner_px = np.hypot(*alike[0].intrinsics.size_wh) / 2
-    sure = np.abs(found.red_blue) > _SIGMAS * np.hypot(found.sd, _FLOOR_PX / corner_px)
+    sure = np.abs(found.red_blue) > SIGNIFICANT_SIGMAS * np.hypot(found.sd, _FLOOR_PX / corner_px)
     red, blue = np.where(sure, found.red_blue, 0.0).tolist()
     return [
         replace(one, intrinsics=replace(one.intrinsics, lateral_color=(red, blue))) for one in alike

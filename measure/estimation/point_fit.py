@@ -10,10 +10,10 @@ from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import inverse, solved
 from measure.geometry.rays import MIN_PARALLAX_RAD
+from measure.limits import MAX_STEPS
 from measure.model.rig import RigRows
 from measure.model.rig_kernels import camera_noise, project_one, ray_rows, rows_between
 
-_MAX_STEPS = 12
 _STEP_TOLERANCE_MM = 1e-7
 FITTED, PARALLEL, BEHIND = 0, 1, 2
 """How a fit ends: with a point, without one for parallel rays, with one behind a camera."""
@@ -155,7 +155,7 @@ def refine_point(
         weight[i, 2] = -noise[i, 0, 1] / det
     normal, right, residuals = np.empty((3, 3)), np.empty(3), np.empty((n, 2))
     chi_square, settled = 0.0, False
-    for step_count in range(_MAX_STEPS + 1):
+    for step_count in range(MAX_STEPS + 1):
         normal[:], right[:], chi_square = 0.0, 0.0, 0.0
         for i in range(n):
             project_one(rig, i, point + shifts[i], pixel, by_point)
@@ -171,7 +171,7 @@ def refine_point(
                     normal[a, b] += ga * by_point[0, b] + gb * by_point[1, b]
         if not np.isfinite(chi_square):
             return point, normal, residuals, chi_square, False
-        if settled or step_count == _MAX_STEPS:
+        if settled or step_count == MAX_STEPS:
             break
         step = solved(normal, right)
         point += step

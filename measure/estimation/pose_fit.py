@@ -16,16 +16,14 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, chart_jacobian
+from measure.limits import MAX_STEPS, SINGULAR
 from measure.model import Body, Camera, Detection, Rig
 from measure.model.observations import stacked_detections
 
 _STEP_TOLERANCE = 1e-8
-_MAX_ITERATIONS = 15
 _FIRST_TUKEY = 1e3
 """Width of Tukey's weights, in standard deviations, in the first two iterations: with a start that
 is a little off all residuals are large, and good observations must keep their weights."""
-_MIN_EIGENVALUE_RATIO = 1e-9
-"""Least eigenvalue of the scaled information over the greatest for which there is a pose."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -112,7 +110,7 @@ def fit_pose(
     s, pose = observations, start
     turning = np.zeros(6) if velocity is None else velocity
     inverse, normal = np.asarray(np.linalg.inv(s.noise), np.float64), np.eye(6)
-    for step in range(_MAX_ITERATIONS):
+    for step in range(MAX_STEPS):
         residuals, slopes, distances = _residuals(s, pose, turning, inverse)
         width = tukey if step > 1 else _FIRST_TUKEY
         weights = np.maximum(1 - distances / width**2, 0.0) ** 2
@@ -154,7 +152,7 @@ def _determined(normal: Floats) -> bool:
     """Whether an information matrix, mm and rad scaled to each other, is not singular."""
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-30))
     spread = np.linalg.eigvalsh(normal * scale[:, None] * scale)
-    return bool(spread[0] > _MIN_EIGENVALUE_RATIO * spread[5])
+    return bool(spread[0] > SINGULAR * spread[5])
 
 
 @lru_cache(maxsize=256)

@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from measure.estimation.expected_accuracy import WORLD_SCALE_SD
+from measure.limits import SIGNIFICANT_SIGMAS
 from measure.measuring.measurement import Measurement
 from measure.model import BallPosition, Body, Pose
 from measure.model.observations import stacked_positions
 
 _MEMORY_FRAME_SETS = 300
-_FLAG_SIGMAS = 4.0
 _EXCESS_SIGMAS = 2.0
 """A factor further from 1 is taken for an error of scale, beside the one always allowed."""
 
@@ -48,7 +48,7 @@ class ScaleMonitor:
             return replace(measured, pose=with_scale(pose, WORLD_SCALE_SD))
         off, sd = self._weighted / self._weight, math.sqrt(self._count / self._weight)
         measured = replace(measured, pose=with_scale(pose, _unknown_scale(off, sd)))
-        if abs(off) <= _FLAG_SIGMAS * sd:
+        if abs(off) <= SIGNIFICANT_SIGMAS * sd:
             return measured
         flag = (
             f"the balls are {1 + off:.4f} +- {sd:.4f} times as far apart as the body file says: "

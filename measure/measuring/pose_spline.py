@@ -18,12 +18,12 @@ from scipy.interpolate import CubicSpline
 
 from measure.arrays import Floats, stacked
 from measure.geometry import RigidTransform
+from measure.limits import MAX_PAUSE_S
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.model import Motion, Pose
 
 REACH = 3
 """Poses on either side: the fourth would change a slope by 2 % of its own noise."""
-_MAX_PAUSE_S = 0.5  # Longest time between two poses of one spline
 _POLYNOMIAL_KNOTS = 5  # Nearest knots of the polynomial whose slope is compared with the spline's
 
 
@@ -136,7 +136,7 @@ def _without_pause(time_s: float, others: Sequence[Measurement]) -> list[Pose]:
     for other in others:
         if other.pose is None or other.status is not Status.OK:
             continue
-        if not 0 < abs(other.time_s - time_s) <= _MAX_PAUSE_S:
+        if not 0 < abs(other.time_s - time_s) <= MAX_PAUSE_S:
             break
         found.append(other.pose)
         time_s = other.time_s

@@ -10,11 +10,11 @@ import numpy as np
 from measure.arrays import Floats
 from measure.estimation.pose_fit import PoseObservations
 from measure.geometry import RigidTransform, chart_jacobian, propagate
+from measure.limits import SINGULAR
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose
 
 _SYSTEMATIC_PX = 0.3
 """Systematic error of a detection, added to its noise: it limits differences of their weights."""
-_SINGULAR = 1e-9  # Inverse condition number below which a direction counts as undetermined
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -122,7 +122,7 @@ class FrameSetObservations:
         by_pose = np.nan_to_num(by_point @ chart_jacobian(arms))
         weight = np.linalg.inv(s.noise + _SYSTEMATIC_PX**2 * np.eye(2))
         square = np.swapaxes(by_pose, 1, 2) @ weight @ by_pose
-        return square, np.linalg.pinv(square.sum(axis=0), rcond=_SINGULAR, hermitian=True)
+        return square, np.linalg.pinv(square.sum(axis=0), rcond=SINGULAR, hermitian=True)
 
     def _pixels(self, world_from_body: RigidTransform, moved: Floats) -> Floats:
         """Pixels (n, 2) of the balls if the body has moved by (n, 6) in each image."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats, Ints
+from measure.limits import GAP_PERIODS, SIGNIFICANT_SIGMAS
 from measure.metrology.poses import (
     PoseTable,
     SharedErrors,
@@ -29,7 +30,6 @@ from measure.metrology.poses import (
 _FEWEST_POSES = 10  # Poses that show noise at all
 _FEWEST_SPECTRUM = 32  # Poses in a row that show a spectrum
 _SEGMENT = 256  # Poses over which a spectrum is taken
-_GAP_STEPS = 1.5  # Poses further apart than so many usual steps do not follow each other
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def noise_of(times_s: Floats, deviations: Floats, groups: Ints, about: str) -> N
         return None
     x = np.concatenate([deviations[:, :3], np.degrees(deviations[:, 3:])], axis=1)
     step = float(np.median(np.diff(times_s)))
-    breaks = (np.diff(times_s) > _GAP_STEPS * step) | (np.diff(groups) != 0)
+    breaks = (np.diff(times_s) > GAP_PERIODS * step) | (np.diff(groups) != 0)
     runs = np.split(x, np.flatnonzero(breaks) + 1)
     lengths, allan = _allan(runs)
     if not len(lengths):
@@ -138,8 +138,6 @@ def _pair(values: Floats) -> tuple[float, float]:
 
 _DEGREE = 3
 _FEWEST = 2 * _DEGREE + 1  # Poses in a window: fewer show no misfit
-_MISFIT_SIGMAS = 4.0
-"""Standard deviations by which residuals exceed noise, from which a cubic is not the motion."""
 _NOISE_WINDOWS = 100
 """The shortest there are, evenly spread: they show the noise, whatever the motion."""
 
@@ -220,7 +218,7 @@ def _own_errors(poses: PoseTable, window: _NoiseWindow, scatter: float) -> tuple
     noise = scatter * np.einsum("wn,nij->wij", window.weights**2, stated)
     misfit = np.einsum("wi,wj->wij", window.finer, window.finer)
     degrees = 6 * (len(stated) - _DEGREE - 1)
-    if window.residual_share > (1 + _MISFIT_SIGMAS * np.sqrt(2 / degrees)) * scatter:
+    if window.residual_share > (1 + SIGNIFICANT_SIGMAS * np.sqrt(2 / degrees)) * scatter:
         most = np.abs(window.weights).sum(axis=1) ** 2
         left = unexplained(window.residual, scatter * stated.mean(axis=0))
         misfit = misfit + most[:, None, None] * left

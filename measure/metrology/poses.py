@@ -12,6 +12,7 @@ from scipy.spatial.distance import cdist
 from measure.arrays import Floats
 from measure.estimation.expected_accuracy import pose_by_cameras, tolerance_covariance
 from measure.geometry import RigidTransform, propagate
+from measure.limits import TINY
 from measure.model import Body, Camera
 
 ALIKE_OVER_MM = 20.0
@@ -22,7 +23,6 @@ _LEAST_ALIKE = 0.1
 _FOREIGN = 2.0
 """Standard deviation by cameras over the stated one, from which they are not those of the poses: it
 is linearised, and up to 1.4 with cameras that are uncertain by 0.2 mm and 0.03 deg."""
-_TINY = 1e-12
 _BLOCK = 1000
 
 
@@ -79,7 +79,7 @@ class SharedErrors:
             moves = [J @ F for J, F in zip(by_cameras, roots, strict=True)]
             parts.append(np.concatenate(moves, axis=1))
         whole = np.concatenate([np.array(parts), by_body], axis=2) if parts else by_body
-        scale = np.sqrt(np.maximum(np.einsum("nii->ni", poses.covariances), _TINY))
+        scale = np.sqrt(np.maximum(np.einsum("nii->ni", poses.covariances), TINY))
         stated = poses.covariances / (scale[:, :, None] * scale[:, None]) + 1e-9 * np.eye(6)
         white = np.linalg.solve(np.linalg.cholesky(stated), whole / scale[:, :, None])
         excess = np.median(np.linalg.norm(white, ord=2, axis=(1, 2))) if len(poses) else 0.0
@@ -137,7 +137,7 @@ def unexplained(stated: Floats, known: Floats) -> Floats:
 
     Never negative: `known` is linearised, and along some direction it may be the larger one.
     """
-    scale = np.sqrt(np.maximum(np.einsum("...ii->...i", stated), _TINY))
+    scale = np.sqrt(np.maximum(np.einsum("...ii->...i", stated), TINY))
     outer = scale[..., :, None] * scale[..., None, :]
     values, axes = np.linalg.eigh((stated - known) / outer)
     kept = np.maximum(values, 0.0)
@@ -158,7 +158,7 @@ def alike_part(scatter: float, stated: Floats, known: Floats) -> Floats:
     """
     left = unexplained(stated, known)
     share = float(np.mean(_mean_ratio(left, stated)))
-    return max(1.0 - scatter / max(share, _TINY), _LEAST_ALIKE) * left
+    return max(1.0 - scatter / max(share, TINY), _LEAST_ALIKE) * left
 
 
 def independent_count(deviations: Floats) -> float:
@@ -195,5 +195,5 @@ def _root(covariance: Floats) -> Floats:
 
 def _mean_ratio(part: Floats, whole: Floats) -> Floats:
     """Mean (...) over six directions of one variance over another, (..., 6, 6) each."""
-    floor = np.einsum("...ii->...i", whole)[..., None] * 1e-9 * np.eye(6) + _TINY * np.eye(6)
+    floor = np.einsum("...ii->...i", whole)[..., None] * 1e-9 * np.eye(6) + TINY * np.eye(6)
     return np.asarray(np.einsum("...ii->...", np.linalg.solve(whole + floor, part)) / 6)

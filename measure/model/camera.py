@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 Projection = Literal["pinhole", "fisheye"]
 """Lens models: a pinhole with distortion, or an equidistant fisheye, both as OpenCV has them."""
+USUAL_FOCAL = 0.72  # Focal length over the longer side of a picture, of ordinary webcams
 _WIDEST_RAD = np.deg2rad(89.0)
 MIN_DEPTH_MM = 1e-6
 """Points nearer to the camera's plane than this, or behind it, have no image."""

@@ -13,7 +13,7 @@ from measure.arrays import Bools, Bytes, Floats, floats
 
 ColorSpace = Literal["hsv", "lab"]
 _TO_SPACE = {"hsv": cv2.COLOR_BGR2HSV, "lab": cv2.COLOR_BGR2LAB}
-_HUE_PERIOD = 180
+HUE_PERIOD = 180
 _LEAST_SATURATION = 45
 """Samples whose median saturation (of 255) is lower have no hue worth learning."""
 
@@ -62,7 +62,7 @@ class BallColor:
     def is_colorless(self) -> bool:
         """Whether white, grey or black may match: a range of all hues, without any saturation."""
         return any(
-            r.space == "lab" or (r.low[:2] == (0, 0) and r.high[0] == _HUE_PERIOD - 1)
+            r.space == "lab" or (r.low[:2] == (0, 0) and r.high[0] == HUE_PERIOD - 1)
             for r in self.ranges
         )
 
@@ -114,10 +114,10 @@ class BallColor:
 def _colored_range(hsv: Floats, hue_margin: int, level_margin: int) -> ColorRange:
     first, last = _hue_arc(hsv[:, 0], hsv[:, 1] * hsv[:, 2])
     first, last = np.floor(first - hue_margin), np.ceil(last + hue_margin)
-    if last - first >= _HUE_PERIOD - 1:
-        hues = (0, _HUE_PERIOD - 1)
+    if last - first >= HUE_PERIOD - 1:
+        hues = (0, HUE_PERIOD - 1)
     else:
-        hues = (int(first) % _HUE_PERIOD, int(last) % _HUE_PERIOD)
+        hues = (int(first) % HUE_PERIOD, int(last) % HUE_PERIOD)
     saturation, value = np.quantile(hsv[:, 1:], 0.05, axis=0) - level_margin
     low = (hues[0], max(int(saturation), 25), max(int(value), 20))
     return ColorRange("hsv", low, (hues[1], 255, 255))
@@ -127,21 +127,21 @@ def _colorless_range(hsv: Floats, _hue_margin: int, level_margin: int) -> ColorR
     saturation = int(np.quantile(hsv[:, 1], 0.95)) + level_margin
     darkest, brightest = np.quantile(hsv[:, 2], [0.05, 0.95])
     low = (0, 0, max(int(darkest) - level_margin, 0))
-    high = (_HUE_PERIOD - 1, min(saturation, 255), min(int(brightest) + level_margin, 255))
+    high = (HUE_PERIOD - 1, min(saturation, 255), min(int(brightest) + level_margin, 255))
     return ColorRange("hsv", low, high)
 
 
 def _hue_arc(hues: Floats, weights: Floats) -> tuple[float, float]:
     """Weighted 5 % and 95 % quantiles of hues (n,) about their circular mean, unwrapped."""
-    angle = hues * (2 * np.pi / _HUE_PERIOD)
+    angle = hues * (2 * np.pi / HUE_PERIOD)
     weights = weights + 1e-9
     mean = np.angle(np.sum(weights * np.exp(1j * angle)))
     offset = np.angle(np.exp(1j * (angle - mean)))
     order = np.argsort(offset)
     cumulated = np.cumsum(weights[order]) / np.sum(weights)
     low, high = np.interp([0.05, 0.95], cumulated, offset[order])
-    centre = mean * _HUE_PERIOD / (2 * np.pi)
-    return centre + low * _HUE_PERIOD / (2 * np.pi), centre + high * _HUE_PERIOD / (2 * np.pi)
+    centre = mean * HUE_PERIOD / (2 * np.pi)
+    return centre + low * HUE_PERIOD / (2 * np.pi), centre + high * HUE_PERIOD / (2 * np.pi)
 
 
 def _hsv(hue: tuple[int, int], saturation: int, value: int) -> ColorRange:

@@ -19,17 +19,16 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled, inlined
+from measure.limits import MAX_STEPS
 
 FISHEYE = 13
 """Where a lens row holds the angle off the axis up to which a fisheye sees, rad; 0: a pinhole."""
 RED, BLUE = 14, 15
 """Where it holds the magnification of red and of blue against green, less 1."""
 Slopes = Callable[[float, float, Floats], tuple[float, float, float, float]]
-NEWTON_STEPS = 20
 NEWTON_TOLERANCE = 1e-5
 """Newton's steps shrink quadratically: after one so short less than 1e-9 is left."""
 _EXACT, _FAILED = 1e-12, 1e-9
-FISHEYE_STEPS, FISHEYE_TOLERANCE = 60, 1e-12
 TINY = 1e-20
 """Square of a radius at which a fisheye bends nothing: it keeps zero out of divisions."""
 
@@ -104,7 +103,7 @@ def fisheye_ideal(x: float, y: float, lens: Floats) -> tuple[float, float]:
     if not bent < _bent_angle(high, lens):
         return np.nan, np.nan
     angle = min(bent, high)
-    for _ in range(FISHEYE_STEPS):
+    for _ in range(MAX_STEPS):
         off = _bent_angle(angle, lens) - bent
         if off > 0:
             high = angle
@@ -114,7 +113,7 @@ def fisheye_ideal(x: float, y: float, lens: Floats) -> tuple[float, float]:
         if not low <= closer <= high:
             closer = (low + high) / 2
         step, angle = abs(closer - angle), closer
-        if step < FISHEYE_TOLERANCE:
+        if step < _EXACT:
             break
     scale = np.tan(angle) / bent
     return x * scale, y * scale
@@ -169,7 +168,7 @@ def ideal_point(pixel: Floats, lens: Floats, reach: float) -> tuple[float, float
     if lens[FISHEYE] > 0:
         return fisheye_ideal(xd, yd, lens)
     x, y, size, det = xd, yd, np.inf, 1.0
-    for _ in range(NEWTON_STEPS):
+    for _ in range(MAX_STEPS):
         u, v = pinhole_point(x, y, lens)
         a, b, c, d = pinhole_slopes(x, y, lens)
         det = a * d - b * c
@@ -211,7 +210,7 @@ def fill_rays(pixels: Floats, start: int, end: int, lens: Floats, out: Floats) -
         _fill_bearings(x, y, first, out)
         _fill_slopes(x, y, lens, first, out, fisheye_slopes)
         return
-    for _ in range(NEWTON_STEPS):
+    for _ in range(MAX_STEPS):
         if _newton_step(distorted_x, distorted_y, lens, x, y) == 0:
             break
     else:

@@ -20,6 +20,7 @@ from measure.checking.finding import Level
 from measure.checking.pictures import gaps_alone, woven_causes
 from measure.checking.sightings import MOST_INSTANTS
 from measure.geometry import RigidTransform
+from measure.limits import MAX_PAUSE_S
 from measure.measuring.ball_radii import outline_growth
 from measure.measuring.woven_images import woven_cameras
 from measure.model import Body, Camera, Detection
@@ -27,7 +28,6 @@ from measure.model.observations import Reason, State
 from measure.results.tables import PLACE, matrices, numbers
 
 MIN_FRAME_SETS = 5  # Of fewer frame sets the scatter is not known well enough
-_MOST_PAUSE_S = 0.5  # Longest time between poses that give a velocity
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +166,7 @@ def _sightings(
     steps = RigidTransform(motion.rotation[after], motion.translation[after]).difference(
         RigidTransform(motion.rotation[before], motion.translation[before])
     )
-    velocity = np.where(lasts_s[:, None] < _MOST_PAUSE_S, steps / lasts_s[:, None], 0.0)
+    velocity = np.where(lasts_s[:, None] < MAX_PAUSE_S, steps / lasts_s[:, None], 0.0)
     chosen = np.unique(np.linspace(0, len(posed) - 1, MOST_INSTANTS).round().astype(int))
     order = poses["index"].to_numpy()[posed[chosen]]
     wanted = pc.is_in(detections["index"], value_set=pa.array(order))

@@ -26,11 +26,8 @@ from measure.results.statistics import (
     rotation_errors,
 )
 from measure.results.tables import integers, matrices, numbers, texts
-from measure.results.truth_alignment import TruthOffset, align_truth
+from measure.results.truth_alignment import FAR_DEG, FAR_MM, TruthOffset, align_truth
 from measure.session import Trajectory
-
-FAR_MM, FAR_DEG = 30.0, 20.0
-"""Median errors beyond these ask whether the truth is of this session, and in our conventions."""
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from measure.model.observations import Reason, State
 from measure.results.journal import MEND, is_missing, read_begun_table
 from measure.results.provenance import Provenance, read_provenance
 from measure.results.tables import BODY, PLACE, numbers, schemas
+from measure.session.calibration_file import UNIT_TOLERANCE
 
 _Known = tuple[str, Sequence[str]]  # Words, and what they are: `in body.toml`
 _ANY: _Known = ("a text", ())
-_UNIT = 1e-3  # By how much a quaternion's length may differ from one
 
 
 def read_tables(
@@ -126,7 +126,7 @@ def _wrong_poses(poses: pa.Table) -> str:
     there = np.isfinite(place[:, 1])
     bad = ~np.isfinite(place[:, 0]) | (there & ~np.isfinite(place).all(axis=1))
     length = np.linalg.norm(np.where(bad[:, None], 1.0, place)[there, 4:], axis=1)
-    bad[there] |= np.abs(length - 1) > _UNIT
+    bad[there] |= np.abs(length - 1) > UNIT_TOLERANCE
     if bad.any():
         return f"frame set {int(np.argmax(bad))} has no time, or half a pose"
     covariances = poses["covariance"].filter(pa.array(there))

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from measure.arrays import Floats, Ints
 from measure.errors import RunError
 from measure.geometry import RigidTransform
+from measure.limits import CLEAR_RATIO
 from measure.results.run import Run
 from measure.session import Trajectory
 
@@ -23,10 +24,10 @@ _ARM_MM = 40.0  # A rotation counts with what it displaces a ball
 _LEAST_MOTION_MM, _FEW_POSES, _BLOCKS = 2.0, 60, 8
 _TRIED, _FEW_STEPS = 5, 10
 """Offsets from which all is fitted, and with how many steps the best is known."""
-_MAX_LEFT, _APART_S, _ALIKE = 0.2, 0.05, 3.0
+_MAX_LEFT, _APART_S = 0.2, 0.05
 """Largest RMS of what is left, as a share of the motion; and an offset so far from the best is a
 rival if it leaves less than so many times as much."""
-_SAME_FRAME_MM, _SAME_FRAME_DEG = 30.0, 20.0
+FAR_MM, FAR_DEG = 30.0, 20.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def align_truth(run: Run, truth: Trajectory) -> tuple[Trajectory, TruthOffset]:
         )
     least, offset_s, x, problem = fits[0]
     for left, rival_s, *_ in fits[1:]:
-        if abs(rival_s - offset_s) > _APART_S and left < _ALIKE * least:
+        if abs(rival_s - offset_s) > _APART_S and left < CLEAR_RATIO * least:
             raise RunError(
                 f"the motion fits offsets of the truth's clock of {offset_s:.2f} s and "
                 f"{rival_s:.2f} s alike, as it repeats itself or is too short: shift the truth's "
@@ -128,7 +129,7 @@ class _Problem:
         turn, own = (float(np.degrees(np.linalg.norm(one.rotvec))) for one in (world, body))
         far_mm = max(shift, float(np.linalg.norm(body.translation)))
         moved = world @ self.truth.world_from_body @ body
-        fitted = far_mm > _SAME_FRAME_MM or max(turn, own) > _SAME_FRAME_DEG
+        fitted = far_mm > FAR_MM or max(turn, own) > FAR_DEG
         if not fitted:
             shift, turn, moved = 0.0, 0.0, self.truth.world_from_body
             fit = self.solved(fit.x[:1])

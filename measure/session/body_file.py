@@ -16,7 +16,7 @@ from measure.arrays import Bytes, Floats
 from measure.errors import DegenerateGeometryError, SessionError
 from measure.model import Ball, BallColor, Body, ColorRange
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
-from measure.model.color import NAMED_RANGES
+from measure.model.color import HUE_PERIOD, NAMED_RANGES
 from measure.reading import FileModel
 from measure.session.files import Length, Name, Position, SafeName, dump_toml, load_toml
 from measure.session.pictures import read_picture
@@ -27,7 +27,6 @@ Triple = tuple[Level, Level, Level]
 _LEAST_RADIUS_MM = 0.5  # Smaller balls show no outline to a webcam: sizes are then rather metres
 _MOST_TOLERANCE_MM = 10.0
 Tolerance = Annotated[FiniteFloat, Field(ge=0, le=_MOST_TOLERANCE_MM)]
-_LAST_HUE = 179
 _TOUCHING = 0.9
 """Share of the radii's sum by which balls that touch are apart at least, carelessly measured."""
 
@@ -41,8 +40,8 @@ class RangeModel(FileModel):
     def refuse_empty(self, space: str) -> None:
         """Refuse bounds between which no colour is."""
         low, high = list(self.low), list(self.high)
-        if space == "hsv" and low[0] > _LAST_HUE:
-            raise ValueError(f"{space}: hues run from 0 to {_LAST_HUE}, low is {low}")
+        if space == "hsv" and low[0] >= HUE_PERIOD:
+            raise ValueError(f"{space}: hues run from 0 to {HUE_PERIOD - 1}, low is {low}")
         # A hue alone may run from high to low: across red.
         first = 1 if space == "hsv" else 0
         if any(a > b for a, b in zip(low[first:], high[first:], strict=True)):

@@ -19,6 +19,7 @@ from measure.session import calibration_file
 from measure.session.files import check_name
 from measure.session.formats import able, format_for, formats
 from measure.session.stated_rig import Sizes, StatedRig, Unit
+from measure.session.tracked_body import FARTHEST_MM
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +32,6 @@ _MIDDLE, _SAME_PX = (0.25, 0.5, 0.75), 0.01
 _MAX_DISTORTION_RATIO, _NEAR_SHARE = 3.0, 0.01
 """Largest ratio of distorted to ideal distance from the principal point in the middle half of the
 picture, and the share of the picture added to both."""
-_MAX_SPREAD_MM = 1e6
 METRES_SPREAD_MM = 3.0
 """Cameras all within this many "mm" of the first were surely written in metres."""
 
@@ -156,7 +156,7 @@ def check_calibration(calibration: calibration_file.Calibration, source: str) ->
             "look like metres; write mm, or for another program's file say calibration_unit = "
             '"m" in [session]'
         )
-    if spread > _MAX_SPREAD_MM:
+    if spread > FARTHEST_MM:
         raise CalibrationError(
             f"{source}: the cameras stand up to {spread:.3g} mm apart: are the translations in mm?"
         )

@@ -11,13 +11,13 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError, DegenerateGeometryError, SessionError
 from measure.geometry import align_points
 from measure.model import Ball, Body, Camera, ColorRange
+from measure.model.color import HUE_PERIOD
 from measure.session.calibration_file import Calibration
 
 _MOST_BODIES = 6
 _ALIKE_MM = 3.0
 """Bodies whose balls can be laid on each other this closely are told apart by colours alone."""
 _NO_NAME = set('/\\:,"\n\r\t')  # A body's name stands in file names, entity paths and tables
-_HUES = 180
 
 
 def check_bodies(bodies: Sequence[Body], reference: str, source: str) -> None:
@@ -82,7 +82,7 @@ def _hue_inside(box: ColorRange, other: ColorRange) -> bool:
     (low, *_), (high, *_) = box.low, box.high
     middle = (other.low[0] + other.high[0]) // 2
     if other.low[0] > other.high[0]:
-        middle = (middle + _HUES // 2) % _HUES
+        middle = (middle + HUE_PERIOD // 2) % HUE_PERIOD
     return low <= middle <= high if low <= high else not high < middle < low
 
 

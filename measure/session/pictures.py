@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL.BmpImagePlugin import BmpImageFile
+from PIL.ExifTags import IFD, Base
 from PIL.ImageFile import ImageFile
 from PIL.Jpeg2KImagePlugin import Jpeg2KImageFile
 from PIL.JpegImagePlugin import JpegImageFile
@@ -45,12 +46,7 @@ _READERS = (
     (b"\xff\x4f\xff\x51", Jpeg2KImageFile),
 )
 """What reads a header, by the bytes that a file begins with."""
-_TILE_WIDTH, _TILE_LENGTH = 322, 323  # Tags of TIFF 6.0
-_ORIENTATION, _UPRIGHT = 0x0112, (0, 1)
-"""Tag of Exif, and its values for pictures that are stored as they are shown."""
-_PHOTOGRAPH, _FOCAL_35MM = 0x8769, 0xA405
-"""Tag of Exif's part on how a photograph was taken, and in that of the focal length of a lens with
-the same angle of view, by the diagonal, on film of 36 x 24 mm."""
+_UPRIGHT = (0, 1)  # Orientations of pictures that are stored as they are shown
 
 
 class PictureTags(NamedTuple):
@@ -108,7 +104,7 @@ def picture_size_wh(data: bytes) -> tuple[int, int] | None:
     if (header := _header(data)) is None:
         return None
     tags = getattr(header, "tag_v2", {})
-    tile = (int(tags.get(_TILE_WIDTH, 0)), int(tags.get(_TILE_LENGTH, 0)))
+    tile = (int(tags.get(Base.TileWidth, 0)), int(tags.get(Base.TileLength, 0)))
     return max(header.size, tile, key=lambda size: size[0] * size[1])
 
 
@@ -122,9 +118,9 @@ def picture_tags(data: bytes) -> PictureTags:
     try:
         header = _header(data)
         tags = {} if header is None else header.getexif()
-        lens = {} if header is None else header.getexif().get_ifd(_PHOTOGRAPH)
-        focal_mm = float(lens.get(_FOCAL_35MM, 0))
-        return PictureTags(int(tags.get(_ORIENTATION, 1)), focal_mm if focal_mm > 0 else None)
+        lens = {} if header is None else header.getexif().get_ifd(IFD.Exif)
+        focal_mm = float(lens.get(Base.FocalLengthIn35mmFilm, 0))
+        return PictureTags(int(tags.get(Base.Orientation, 1)), focal_mm if focal_mm > 0 else None)
     except Exception:  # Pillow raises many kinds; all mean broken tags
         return PictureTags()
 

@@ -15,11 +15,9 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import SessionError
+from measure.limits import GAP_PERIODS
 from measure.model import Body, Camera, FrameSet, Image
 from measure.session.streams import Stream
-
-GAP_PERIODS = 1.5
-"""A step of the reference clock longer than this many periods holds missing frames."""
 
 
 @dataclass(frozen=True, eq=False)

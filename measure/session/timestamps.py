@@ -13,6 +13,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import SessionError
+from measure.limits import GAP_PERIODS
 from measure.reading import read_text
 from measure.session.number_table import read_number_table
 
@@ -103,7 +104,7 @@ def add_time_offsets(path: Path, offsets_s: Mapping[str, float], overwrite: bool
 
 _QUANTA_S = (1.0, 0.1, 0.05, 0.04, 0.02, 0.016, 1 / 64, 0.01, 0.008, 0.005, 0.004, 0.002, 0.001)
 _ROUNDED = 0.01  # Of a quantum, or a period: what is nearer to its multiples is one of them
-_MIN_STAMPS, _GAP_PERIODS = 8, 1.5
+_MIN_STAMPS = 8
 _ARRIVAL_CORRELATION = -0.25
 """Of neighbouring steps: a late stamp lengthens one and shortens the next, which gives -0.5."""
 _WORTH_A_LINE_S, _MAX_UNEVEN, _MAX_PERIOD_S = 1e-3, 0.1, 10.0
@@ -138,7 +139,7 @@ class StampErrors:
                     f"stamps are rounded to {1e3 * quantum:.4g} ms: poses allow for "
                     f"{1e3 * sd[0]:.1f} ms; write more digits if they are known"
                 )
-        uneven = float(np.std(off[steps < _GAP_PERIODS * period]))
+        uneven = float(np.std(off[steps < GAP_PERIODS * period]))
         off = off - np.median(off)
         jitter = math.sqrt(max(-float(np.mean(off[1:] * off[:-1])), 0.0))
         arrived = jitter**2 > -_ARRIVAL_CORRELATION * float(np.mean(off**2))

@@ -11,7 +11,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import MeasureError
 
-_FARTHEST_MM = 1e6  # NDI writes -3.7e28 for what is not known
+FARTHEST_MM = 1e6  # No camera or body is farther away: NDI writes -3.7e28 for what is not known
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class TrackedBody:
         values, t = np.array(out).reshape(-1, len(columns)), len(self.times)
         # Qualisys and Vicon write zeros for a body that is lost.
         seen = np.any(values[:, t:] != 0, axis=1)
-        seen &= np.all(np.abs(values[:, t:]) < _FARTHEST_MM, axis=1)
+        seen &= np.all(np.abs(values[:, t:]) < FARTHEST_MM, axis=1)
         values, lines = values[seen], [line for line, s in zip(lines, seen, strict=True) if s]
         times = (values[:, :t] @ self.units_s)[:, None] - self.begin_s
         turned = self.quat_wxyz(values[:, t + 3 :]).reshape(-1, 4)

@@ -16,6 +16,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.bags import is_bag, split_topic
 from measure.errors import SessionError
+from measure.limits import SINCE_1970_S
 from measure.model import Image
 from measure.neighbours import lacking
 from measure.reading import check_ordinary
@@ -32,8 +33,6 @@ _CONTAINERS = (
     "h264,hevc,m4v,mjpeg,mpegvideo,rawvideo"
 )
 """What is opened. None of these names further files to be opened, as playlists do."""
-_TIME_OF_DAY_S = 1e8
-"""A container that begins later than this counts from 1970, as recorders of streams may do."""
 _PATIENCE_S = 8.0  # Longest search for the next packet: damaged files may promise terabytes
 _RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpegvideo", "rawvideo")
 """Bare streams without any time; a reader that gives some invents them."""
@@ -58,7 +57,7 @@ class VideoIndex:
         Containers begin at any time, for the order of decoding and by habit, so that the same
         frames would differ by up to seconds; only a time of day is kept.
         """
-        first = 0 if self.stamps[0] * self.time_base > _TIME_OF_DAY_S else self.stamps[0]
+        first = 0 if self.stamps[0] * self.time_base > SINCE_1970_S else self.stamps[0]
         return np.array([float((stamp - first) * self.time_base) for stamp in self.stamps])
 
 
@@ -257,7 +256,7 @@ class VideoStream(Stream):
     ) -> None:
         times_s, notes = stamps.times_s + offset_s, turned_notes(name, index.turned)
         super().__init__(name, str(path), index.size_wh, stamps.frames, times_s, [path], notes)
-        self.begins_s = float(times_s[0]) if times_s[0] > _TIME_OF_DAY_S else 0.0
+        self.begins_s = float(times_s[0]) if times_s[0] > SINCE_1970_S else 0.0
         self._reader = VideoReader(path, index)
         self._motion_jpeg = index.motion_jpeg
 

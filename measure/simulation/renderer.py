@@ -15,7 +15,6 @@ from measure.simulation.scene import Scene, Shape
 from measure.simulation.sensor import Linear, develop
 
 SAMPLES = 89  # Rays through a pixel that an edge crosses
-_BACKDROP_SAMPLES = 16
 _FEWEST_SAMPLES = 16
 _STEP_PX = 0.35
 """Motion in px between the instants averaged over an exposure (at most `_MOST_STEPS`)."""
@@ -116,7 +115,7 @@ class Renderer:
         coarse = Canvas(lens)
         stage = Stage(self._walls, self._lighting, lens.focal_px, fisheye=self._fisheye)
         nothing = coarse.empty()
-        drawn = coarse.draw(stage, len(self._walls), _BACKDROP_SAMPLES, nothing, nothing)
+        drawn = coarse.draw(stage, len(self._walls), _FEWEST_SAMPLES, nothing, nothing)
         size = self.camera.intrinsics.size_wh
         return np.asarray(cv2.resize(drawn, size, interpolation=cv2.INTER_LINEAR), np.float32)
 

@@ -16,6 +16,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
+from measure.limits import TINY
 from measure.model import Body, Camera
 from measure.simulation.sensor import CameraSensor
 from measure.simulation.trajectory import ContinuousTrajectory
@@ -88,9 +89,6 @@ class Lighting:
         return replace(self, lights=lamps, up=camera_from_world.rotate(self.up))
 
 
-_TINY = 1e-12
-
-
 @dataclass(frozen=True, eq=False)
 class Sphere:
     """A ball: centre (3,) and radius in mm."""
@@ -141,7 +139,7 @@ class Capsule:
         unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
         # The point of the axis nearest to each line, kept between the ends.
         cosine = unit @ axis
-        share = (unit @ start * cosine - start @ axis) / np.maximum(axis @ axis - cosine**2, _TINY)
+        share = (unit @ start * cosine - start @ axis) / np.maximum(axis @ axis - cosine**2, TINY)
         near = start + np.clip(share, 0, 1)[:, None] * axis
         along = np.einsum("ij,ij->i", unit, near)
         across = np.sqrt(np.maximum(np.einsum("ij,ij->i", near, near) - along**2, 0))
@@ -182,7 +180,7 @@ Shape: TypeAlias = Sphere | Capsule | Cuboid
 
 def _as_angle(gap_mm: Floats, along_mm: Floats) -> Floats:
     """Angles (n,) in rad of distances beside a ray, seen from its origin; inf behind it."""
-    return np.where(along_mm > 0, gap_mm / np.maximum(along_mm, _TINY), np.inf)
+    return np.where(along_mm > 0, gap_mm / np.maximum(along_mm, TINY), np.inf)
 
 
 BALL_ALBEDO: dict[str, Rgb] = {

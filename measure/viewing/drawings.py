@@ -15,9 +15,9 @@ from measure.geometry import RigidTransform, tangent_cone
 from measure.model import Body, Camera, Detection
 from measure.results import Run
 from measure.session import Session
+from measure.viewing.state_colors import AXES_MM
 
 TILE_WH = (640, 360)
-_AXIS_MM = 60.0
 _FRACTION_BITS = 4  # Bits of a pixel's fraction in OpenCV's drawing
 _AXIS_COLOURS = ((80, 80, 255), (90, 220, 90), (255, 150, 80))
 _FOUND, _NOT_FOUND, _DARK = (255, 255, 255), (150, 150, 150), (0, 0, 0)
@@ -120,7 +120,7 @@ def _draw_body(
         else:
             for k in range(0, 72, 4):
                 _lines(picture, outline[k : k + 3], _NOT_FOUND, 2)
-    ends = np.vstack([np.zeros(3), _AXIS_MM * np.eye(3)])
+    ends = np.vstack([np.zeros(3), AXES_MM * np.eye(3)])
     pixels = camera.intrinsics.project(camera_from_body.apply(ends))
     for end, colour in zip(pixels[1:], _AXIS_COLOURS, strict=True):
         _lines(picture, np.stack([pixels[0], end]), colour, 4)

@@ -11,6 +11,7 @@ import rerun as rr
 from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats
+from measure.limits import SINCE_1970_S
 
 WORLD = "world"
 BODY = "world/body"
@@ -87,10 +88,6 @@ def line_color(index: int) -> tuple[int, int, int]:
     return _LINES[index % len(_LINES)]
 
 
-_SINCE_1970_S = 1e9
-"""Times from here on (2001 and later) count from 1970: the viewer shows their date and time."""
-
-
 class FrameSetBatch:
     """One batch on both timelines; `suffix` ends every entity, see `suffix`."""
 
@@ -113,7 +110,7 @@ class FrameSetBatch:
 
     def _on_timelines(self, rows: Bools) -> list[rr.TimeColumn]:
         times_s = self.times_s[rows]
-        dated = len(times_s) and times_s[0] >= _SINCE_1970_S
+        dated = len(times_s) and times_s[0] >= SINCE_1970_S
         return [
             rr.TimeColumn(TIMELINE_FRAME, sequence=self._frames[rows]),
             rr.TimeColumn(TIMELINE_TIME, timestamp=times_s)
@@ -137,7 +134,7 @@ def points(rows: Iterable[Any], width: int) -> Floats:
 
 def set_time(stream: rr.RecordingStream, time_s: float) -> None:
     """The time of what is logged next: as a date where it is one, else as time since the start."""
-    if time_s >= _SINCE_1970_S:
+    if time_s >= SINCE_1970_S:
         stream.set_time(TIMELINE_TIME, timestamp=time_s)
     else:
         stream.set_time(TIMELINE_TIME, duration=time_s)

@@ -19,6 +19,7 @@ import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
 from measure.errors import ConfigError
+from measure.limits import PATIENCE_S
 from measure.measuring import Measurement, Status
 from measure.model import Body, Camera, FrameSet, Image
 from measure.session import Session, Stream, Trajectory
@@ -72,9 +73,6 @@ HELD_SETS = 120
 PERIOD_S, WORTH_SENDING = 2.0, 30
 """So many are not held back longer: what a kill may cost. Fewer at a time would swell the file."""
 LIVE_PERIOD_S = 0.2  # Where somebody watches nothing is held back longer, be it only one frame set
-_WRITTEN_WITHIN_S = 60.0
-"""How long what is sent may take to be written. A writer that died while it was asked says nothing,
-and Rerun would wait for ever: a full disk, or a file as large as it may be."""
 _LEVELS = {Status.OK: "INFO", Status.FLAGGED: "WARN", Status.LOST: "ERROR", Status.SKIPPED: "WARN"}
 
 
@@ -135,7 +133,7 @@ class RunRecording:
     def flush(self) -> None:
         """Send what is held back; RuntimeError as `close`."""
         self._send()
-        self._stream.flush(timeout_sec=_WRITTEN_WITHIN_S)
+        self._stream.flush(timeout_sec=PATIENCE_S)
 
     def add(self, measured: Sequence[Measurement], frame_set: FrameSet | None = None) -> None:
         """Log a measurement of each body, and the images of `frame_set`."""

@@ -17,8 +17,7 @@ from measure.model.observations import Reason, State
 from measure.session import Trajectory
 from measure.viewing import entities, state_colors
 from measure.viewing.entities import FrameSetBatch, lengths, points
-
-AXES_MM = 40.0
+from measure.viewing.state_colors import AXES_MM
 
 
 def send_balls(

@@ -14,6 +14,7 @@ REASONS = {
     Reason.NO_IMAGE: (110, 110, 110),
 }
 UNKNOWN = (150, 150, 150)
+AXES_MM = 40.0  # Length of a body's axes, as they are drawn
 
 
 def css(reason: str) -> str:

@@ -15,10 +15,10 @@ from ipaddress import IPv4Address
 from pathlib import Path
 
 from measure.errors import ConfigError, RunError
+from measure.limits import PATIENCE_S
 
 LOOPBACK = "127.0.0.1"
 _MAGIC = b"RRF"  # What every .rrd file begins with
-_PATIENCE_S = 60.0  # How long a viewer may take until browsers are heard
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
 
 def _wait_until_served(process: subprocess.Popen[bytes], bind: str, port: int) -> None:
     """A page that is fetched before would stay empty."""
-    until_s = time.monotonic() + _PATIENCE_S
+    until_s = time.monotonic() + PATIENCE_S
     with ExitStack() as unless_served:
         unless_served.callback(process.kill)
         while process.poll() is None and time.monotonic() < until_s:

@@ -22,6 +22,7 @@ from scipy.special import ndtr, stdtrit
 from measure.arrays import Floats, rms_length
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
+from measure.limits import CLEAR_RATIO, MAX_STEPS
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import Rests
 
@@ -163,8 +164,6 @@ _LEAST_SWING_DEG = 15.0
 _WORST_TIP_SD_MM = 0.5  # A tip that is known worse, along any axis, is none
 _TUKEY = 6.0  # A pose this many standard deviations off has no weight at all
 _LEAST_USED = 0.6  # Share of the poses that must agree on the point
-_SLIPPING = 3.0  # Times what the poses state, from which the tip itself is taken to have moved
-_STEPS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +213,7 @@ def find_tip(poses: PoseTable, shared: SharedErrors) -> Pivot:
     rms = rms_length(kept.world_from_body.apply(tip) - point)
     worst = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
     needed = max(_LEAST_SWING_DEG, swing * worst / _WORST_TIP_SD_MM)
-    if swing < needed and normalised > _SLIPPING**2:
+    if swing < needed and normalised > CLEAR_RATIO**2:
         raise DegenerateGeometryError(
             f"the tip does not stay where it is: it wanders by {rms:.2f} mm RMS, "
             f"{np.sqrt(normalised):.0f} times what the poses state; hold it in a small hole"
@@ -280,7 +279,7 @@ def _fit(poses: PoseTable) -> tuple[Floats, Floats, Floats]:
     rows = np.concatenate([measured.rotation, np.broadcast_to(-np.eye(3), (len(poses), 3, 3))], 2)
     x = np.linalg.lstsq(rows.reshape(-1, 6), -measured.translation.reshape(-1))[0]
     adjusted, v, weights = measured, np.zeros((len(poses), 6)), np.ones(len(poses))
-    for _ in range(_STEPS):
+    for _ in range(MAX_STEPS):
         A, H, inverse = _linearised(adjusted, x[:3], poses.covariances)
         w = adjusted.apply(x[:3]) - x[3:] + np.einsum("nij,nj->ni", H, v)
         squares = np.einsum("ni,nij,nj->n", w, inverse, w)

@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 
 from measure.arrays import Floats, Ints
 from measure.geometry import RigidTransform
+from measure.limits import MOST_LISTED, SINCE_1970_S
 from measure.metrology.noise import Noise
 from measure.results import Run, Summary
 from measure.results.pose_table import noise_about, noise_at_rest, poses_of
@@ -74,7 +75,6 @@ _DRAWN = (
     "White: the outline of each ball used, as the measured pose puts it; grey and dashed: a ball "
     "not used in that view. The body's axes are x red, y green, z blue."
 )
-_DATED_S = 1e9  # Times from here on are seconds since 1970, and not since a camera was switched on
 
 
 def since_start(run: Run) -> Floats:
@@ -110,7 +110,7 @@ def _facts(run: Run) -> Iterator[tuple[str, str]]:
 def _when(run: Run) -> str:
     """When it was recorded, if the times are dated, and measured."""
     said = []
-    if run.poses.num_rows and run.times_s[0] > _DATED_S:
+    if run.poses.num_rows and run.times_s[0] > SINCE_1970_S:
         begun = datetime.fromtimestamp(run.times_s[0], UTC)
         said.append(f"Recorded {begun:%Y-%m-%d %H:%M:%S} UTC")
     if started := run.provenance.get("run", {}).get("started"):
@@ -234,7 +234,7 @@ def _add_residuals(page: Page, run: Run, seen: Mapping[str, Any]) -> None:
     why = texts(run.poses, "reason")[flagged]
     if len(why):
         begun = since_start(run)[flagged]
-        counted = Counter(why.tolist()).most_common(_MOST_REASONS)
+        counted = Counter(why.tolist()).most_common(MOST_LISTED)
         page.table(
             "Flagged frame sets",
             "Why poses are doubtful, the commonest reasons first.",
@@ -243,7 +243,6 @@ def _add_residuals(page: Page, run: Run, seen: Mapping[str, Any]) -> None:
         )
 
 
-_MOST_REASONS = 12
 _PLANES = ((0, 1), (0, 2), (1, 2))
 _RESIDUAL = ("camera", "residual_u_px", "residual_v_px")
 

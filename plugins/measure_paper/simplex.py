@@ -17,6 +17,7 @@ from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, chart_jacobian
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Motion, Pose
+from measure.model.body import MIN_BREADTH_RATIO
 
 
 class SimplexSettings(Settings):
@@ -125,9 +126,6 @@ def _covariance(
     return np.asarray(np.einsum("inj,njk,mnk->im", inverse, noise, inverse))
 
 
-_MIN_BREADTH_RATIO = 0.02
-"""A third ball nearer to the line of the two others than this share of their distance is on it."""
-
 _NEAR_GIMBAL_LOCK = 0.9
 """|sin(beta)| beyond which alpha and gamma nearly turn about one axis and the simplex would
 collapse."""
@@ -213,7 +211,7 @@ def _frame(three_points: Floats) -> RigidTransform:
     x, towards_second = first - origin, second - origin
     z = np.cross(x, towards_second)
     length = float(np.linalg.norm(x))
-    if np.linalg.norm(z) <= _MIN_BREADTH_RATIO * length**2 or length == 0:
+    if np.linalg.norm(z) <= MIN_BREADTH_RATIO * length**2 or length == 0:
         raise DegenerateGeometryError(
             f"three ball centres lie on one line (distance from it "
             f"{np.linalg.norm(z) / max(length, 1e-12):.2f} mm): no pose"

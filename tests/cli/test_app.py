@@ -387,7 +387,7 @@ def test_completion_is_installed_where_the_shell_looks(tmp_path, monkeypatch, ca
 
 
 def test_a_live_line_says_how_many_cameras_are_there(monkeypatch, capsys):
-    monkeypatch.setattr("measure_studio.cli.live._LINE_EVERY_S", 0.0)
+    monkeypatch.setattr("measure_studio.cli.live.LINE_EVERY_S", 0.0)
     cameras = dict.fromkeys(("cam0", "cam1", "cam2"))
     state = SimpleNamespace(
         latest=(), cameras=cameras, away=("cam1",), rate_hz=30.0, age_s=0.02, causes=()

@@ -205,7 +205,7 @@ def _message_or_none(client):
 
 
 def test_a_port_that_is_taken_is_told_and_taken_when_it_is_free(monkeypatch):
-    monkeypatch.setattr("measure_studio.api.sending._REOPEN_S", 0.05)
+    monkeypatch.setattr("measure_studio.api.sending.RETRY_S", 0.05)
     where, lines = address("igtl"), []
     port = int(where.rpartition(":")[2])
     sending = open_sending(

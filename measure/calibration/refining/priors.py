@@ -21,6 +21,7 @@ from measure.arrays import Floats, Ints
 from measure.calibration.board_views import lens_change
 from measure.calibration.least_squares import root_information
 from measure.calibration.refining.recording import Track
+from measure.limits import TINY
 from measure.model import Camera
 
 _MAX_LAG_FRAMES = 30
@@ -122,7 +123,6 @@ def _correlation(
     return float(1 + 2 * np.sum(rho[: faded[0]] if len(faded) else rho))
 
 
-_JITTER = 1e-12  # Keeps covariances of rank one less than their size invertible
 USUAL_POSITION_MM = 0.5
 """Where cameras usually stand elsewhere than a calibration without a joint covariance says, by
 axis (a standard deviation)."""
@@ -179,7 +179,7 @@ class CameraPrior:
     def root(self, noise: NoiseModel) -> Floats:
         """R (p, p) with R^T R the inverse covariance of all poses and free lens parameters."""
         if self.joint is not None:
-            return root_information(self.joint, _JITTER)
+            return root_information(self.joint, TINY)
         information = self._information(noise)
         scale = np.sqrt(np.diag(information))
         return np.asarray(np.linalg.cholesky(information / scale[:, None] / scale).T * scale)
@@ -235,5 +235,5 @@ def workspace_grid(points_world: Floats) -> Floats:
 
 
 def _information(covariance: Floats) -> Floats:
-    root = root_information(covariance, _JITTER)
+    root = root_information(covariance, TINY)
     return np.asarray(root.T @ root)

@@ -18,11 +18,11 @@ from measure.calibration.board_views import changed, free_parameters
 from measure.calibration.refining.priors import CameraPrior, NoiseModel
 from measure.calibration.refining.recording import BallMotion, Recording
 from measure.geometry import RigidTransform, skew
+from measure.limits import HUBER_SIGMAS
 from measure.model import Body, Camera
 
 _ONE_ROUND = least_squares.StoppingRule(steps=2, tolerance=1e-7, must_settle=False, damping=1e-12)
 """Damping must be far below the prior of the world frame, which a long recording outweighs."""
-_HUBER_REACH = 2.5
 _CLOCK_SD_S = 0.02  # Clocks that are off at all are off by something like this
 
 
@@ -88,7 +88,7 @@ class RefineProblem:
         motion = BallMotion(self.recording.times_s, state.world_from_body, state.centers)
         roots = self._roots(noise)
         # The correlation widens the covariances, but must not widen the reach of the loss.
-        reach = _HUBER_REACH / np.sqrt(noise.correlation)
+        reach = HUBER_SIGMAS / np.sqrt(noise.correlation)
         return least_squares.solve(
             lambda s: self._linearise(s, motion, roots, prior, noise),
             self._step,

@@ -31,6 +31,7 @@ from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import chi_square_quantile
+from measure.limits import CLEAR_RATIO
 from measure.measuring import Measurement
 from measure.model import Body, Camera, Detection
 
@@ -91,7 +92,6 @@ def _disagreement(both: tuple[Refinement, Refinement]) -> float:
 
 
 _MAX_HELD_OUT_RATIO = 1.2
-_REFUSED_SURPRISE_RATIO = 3.0
 _LITTLE_GAIN_RATIO = 0.9
 _MIN_DETERMINED_SHARE = 0.02
 """Directions whose prior variance the recording lowers by a smaller share are not tested."""
@@ -128,7 +128,7 @@ def judge_refinement(
 ) -> RefineVerdict:
     """Judge a refinement; CalibrationError if the recording contradicts the first calibration."""
     surprise, limit = _surprise(refinement)
-    if surprise > _REFUSED_SURPRISE_RATIO * limit:
+    if surprise > CLEAR_RATIO * limit:
         raise CalibrationError(_contradiction(refinement, surprise))
     held_out, held_out_after = halves.held_out_px
     if held_out_after > _MAX_HELD_OUT_RATIO * held_out:

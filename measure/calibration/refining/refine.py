@@ -27,13 +27,13 @@ from measure.calibration.refining.problem import RefinedState, RefineLayout, Ref
 from measure.calibration.refining.recording import MIN_FRAMES, Recording, ball_places
 from measure.errors import CalibrationError
 from measure.model import Body, Camera
+from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 
 _MAX_ROUNDS = 200
 _UNDAMPED_ROUNDS = 12
 _SETTLED_MM = 1e-3
 _START_IMAGE_SD_PX = 5.0
 """Cameras start free, so that their errors are not attributed to the balls' constant shifts."""
-_USUAL_TOLERANCE_MM = 0.05
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def refine_rig(
     _check_seen(cameras, recording)
     tolerance_mm = settings.body_tolerance_mm
     if tolerance_mm is None:
-        tolerance_mm = body.tolerance_mm or _USUAL_TOLERANCE_MM
+        tolerance_mm = body.tolerance_mm or USUAL_RADIUS_TOLERANCE_MM
     layout = RefineLayout.of(cameras, len(body.balls), tolerance_mm == 0, clocks_are_exact)
     places = ball_places(recording.world_from_body, body.centers)
     prior = CameraPrior(cameras, layout.free, workspace_grid(places), joint_covariance)

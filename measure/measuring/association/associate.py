@@ -18,7 +18,13 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.association.candidates import BallPoints, Candidates, by_ball, intersect_rays
+from measure.measuring.association.candidates import (
+    RADIUS_SD,
+    BallPoints,
+    Candidates,
+    by_ball,
+    intersect_rays,
+)
 from measure.measuring.association.hypotheses import (
     PoseScores,
     centers_of,
@@ -43,7 +49,6 @@ _MAX_POINTS = 40  # Most possible centres kept per ball
 _MAX_ITERATIONS = 2
 _MAX_FINALISTS = 6
 _MIN_SCORE = 0.5  # Score of a detection whose outline's size is used
-_RELATIVE_RADIUS_SD = 0.03
 _MAX_SQUARED_DEVIATION = 25.0
 """Limit of one outline's squared radius error, in standard deviations: five of them."""
 _CONVERGED = 1e-3  # Steps, in mm and rad, that no longer change which candidates agree
@@ -155,7 +160,7 @@ def _radius_deviation(problem: _AssociationProblem, found: Association) -> float
         away = found.world_from_body.apply(ball.center_mm) - cameras[d.camera].center
         tangent = np.sqrt(max(float(away @ away) - ball.radius_mm**2, 1.0))
         expected = cameras[d.camera].intrinsics.focal_px * ball.radius_mm / tangent
-        sd = np.hypot(_RELATIVE_RADIUS_SD, np.sqrt(d.variance_px2) / expected)
+        sd = np.hypot(RADIUS_SD, np.sqrt(d.variance_px2) / expected)
         total += min(float(np.log(d.radius_px / expected) / sd) ** 2, _MAX_SQUARED_DEVIATION)
     return total
 

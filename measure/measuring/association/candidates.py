@@ -12,7 +12,8 @@ from measure.arrays import Bools, Floats, Ints
 from measure.model import Ball, Camera, Detection, Rig
 from measure.model.rig_kernels import ray_rows
 
-_MIN_GATE_MM = 1.0  # Rays that pass this close always intersect: cameras are not quite simultaneous
+RADIUS_SD = 0.03  # Of an outline, as a share of it: light and paint move edges
+SLACK_MM = 1.0  # Rays that pass this close always intersect: cameras are not quite simultaneous
 _MIN_SQUARED_SINE = 1e-3  # Of the angle between two rays
 
 
@@ -129,7 +130,7 @@ def consistent_sets(rays: CandidateRays, sigmas: float, range_ratio: float) -> B
     sine2 = np.maximum(1 - cosine**2, 1e-12)
     s, t = (depth1 - cosine * depth2) / sine2, (cosine * depth1 - depth2) / sine2
     one, other = o1 + s[:, None] * d1, o2 + t[:, None] * d2
-    limit = sigmas * np.hypot(s * rays.angle_sd[i], t * rays.angle_sd[j]) + _MIN_GATE_MM
+    limit = sigmas * np.hypot(s * rays.angle_sd[i], t * rays.angle_sd[j]) + SLACK_MM
     meet = (sine2 > _MIN_SQUARED_SINE) & (s > 0) & (t > 0)
     meet &= np.linalg.norm(one - other, axis=1) < limit
     meet &= _in_range(s, rays.range_mm[i], range_ratio)
@@ -151,7 +152,7 @@ def _nearest_of_each(
     away, each = points[:, None] - rays.origins, np.arange(len(points))
     distance = np.linalg.norm(away, axis=2)
     off = np.linalg.norm(np.cross(away, rays.directions), axis=2)
-    share = off / (sigmas * distance * rays.angle_sd + _MIN_GATE_MM)
+    share = off / (sigmas * distance * rays.angle_sd + SLACK_MM)
     passes = (share < 1) & _in_range(distance, rays.range_mm, range_ratio)
     share, out = np.where(passes, share, np.inf), np.zeros(share.shape, np.bool_)
     for camera in np.unique(rays.cameras):

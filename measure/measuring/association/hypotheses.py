@@ -11,13 +11,12 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.geometry import RigidTransform
-from measure.measuring.association.candidates import BallPoints, Candidates
+from measure.measuring.association.candidates import SLACK_MM, BallPoints, Candidates
 from measure.model import Body, Camera, Rig
+from measure.model.body import MIN_BREADTH_RATIO
 
 _MAX_TRIPLES = 400
 _MAX_PAIRS = 20
-_SLACK_MM = 1.0
-_MIN_SPREAD_RATIO = 0.05  # Second to first singular value of three balls that are not on a line
 _ANGLES = 90
 _INSIDE_RADII = 0.8
 """Candidates within this many radii of a ball of the body belong to it, whatever their colour: a
@@ -153,7 +152,7 @@ def _misfits(body: Body, points: Sequence[BallPoints], i: int, j: int, sigmas: f
     a, b = points[i], points[j]
     expected_mm = np.linalg.norm(body.centers[i] - body.centers[j])
     distances = np.linalg.norm(a.points[:, None] - b.points[None], axis=2)
-    limit = sigmas * np.hypot(a.sd_mm[:, None], b.sd_mm[None]) + _SLACK_MM
+    limit = sigmas * np.hypot(a.sd_mm[:, None], b.sd_mm[None]) + SLACK_MM
     return np.asarray(np.abs(distances - expected_mm) / limit, dtype=np.float64)
 
 
@@ -188,7 +187,7 @@ def _triples(body: Body) -> tuple[tuple[int, int, int], ...]:
 
 def _on_a_line(points: Floats) -> bool:
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[1] < _MIN_SPREAD_RATIO * spread[0])
+    return bool(spread[1] < MIN_BREADTH_RATIO * spread[0])
 
 
 def _rotated_about_line(target: Floats, source: Floats) -> RigidTransform:

@@ -14,19 +14,23 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.geometry import RigidTransform
-from measure.measuring.association.candidates import BallPoints, Candidates, intersect_rays
+from measure.measuring.association.candidates import (
+    RADIUS_SD,
+    SLACK_MM,
+    BallPoints,
+    Candidates,
+    intersect_rays,
+)
 from measure.measuring.association.hypotheses import lie_on_body
 from measure.model import Body, Camera
 
 _RANGE_RATIO = 1.15
 """Largest error, as a factor, of the distance that the outline of a real ball implies."""
-_RANGE_SD, _RANGE_SIGMAS, _RANGE_STEPS = 0.03, 2.5, 9
+_RANGE_SIGMAS, _RANGE_STEPS = 2.5, 9
 _RANGE_FACTORS = 1 + np.linspace(
-    -_RANGE_SIGMAS * _RANGE_SD, _RANGE_SIGMAS * _RANGE_SD, _RANGE_STEPS
+    -_RANGE_SIGMAS * RADIUS_SD, _RANGE_SIGMAS * RADIUS_SD, _RANGE_STEPS
 )
 """Relative distances at which a ball may be, given the error of its size."""
-_OCCLUDED_RANGE_RATIO = 1.2
-_SLACK_MM = 1.0
 _OCCLUDED_SLACK_MM = 5.0
 """A partly hidden ball's outline includes an edge of its occluder, which displaces its centre."""
 _MAX_POINTS_PER_BALL = 12
@@ -81,7 +85,7 @@ def _evidence(
     lone = [_seen_once(c, p, sigmas) for c, p in zip(candidates, located, strict=True)]
     places = [_possible_places(c) for c in lone]
     fits = {
-        (i, j): possible_distances(places[i], places[j], float(distances_mm[i, j]), _SLACK_MM)
+        (i, j): possible_distances(places[i], places[j], float(distances_mm[i, j]), SLACK_MM)
         for i, j in combinations(balls, 2)
     }
     for three in combinations(balls, 3):
@@ -105,7 +109,7 @@ def _seen_once(candidates: Candidates, located: BallPoints, sigmas: float) -> Ca
     to_point = located.points[:, None] - candidates.rays.origins
     depth = np.einsum("kni,ni->kn", to_point, candidates.rays.directions)
     off = np.linalg.norm(to_point - depth[:, :, None] * candidates.rays.directions, axis=2)
-    limit = sigmas * np.hypot(located.sd_mm[:, None], candidates.rays.angle_sd * depth) + _SLACK_MM
+    limit = sigmas * np.hypot(located.sd_mm[:, None], candidates.rays.angle_sd * depth) + SLACK_MM
     shared = np.any((off < limit) & _size_agrees(depth, candidates.rays.range_mm), axis=0)
     return candidates.rows(np.nonzero(~shared)[0])
 
@@ -136,7 +140,7 @@ def _pair(a: BallPoints, b: BallPoints, distance_mm: float, sigmas: float) -> Fl
     if not len(a.points) or not len(b.points):
         return None
     apart = np.linalg.norm(a.points[:, None] - b.points[None], axis=2)
-    limit = sigmas * np.hypot(a.sd_mm[:, None], b.sd_mm[None]) + _SLACK_MM
+    limit = sigmas * np.hypot(a.sd_mm[:, None], b.sd_mm[None]) + SLACK_MM
     rows, columns = np.nonzero(np.abs(apart - distance_mm) < limit)
     if not len(rows):
         return None
@@ -192,9 +196,9 @@ def _side_by_side(first: Candidates, second: Candidates, fits: Bools) -> Floats 
 
 
 def _well_seen(candidates: Candidates) -> Bools:
-    """Candidates (n,) whose relative radius error is below `_RANGE_SD`."""
+    """Candidates (n,) whose relative radius error is below `RADIUS_SD`."""
     radius = [d.radius_px for d in candidates.detections]
-    return np.asarray(candidates.sd_px < _RANGE_SD * np.array(radius))
+    return np.asarray(candidates.sd_px < RADIUS_SD * np.array(radius))
 
 
 def _middle(some: Sequence[Candidates], rows: Ints) -> Floats:
@@ -215,10 +219,7 @@ def _possible_places(candidates: Candidates) -> Floats:
 
 
 def _size_agrees(distance: Floats, range_mm: Floats) -> Bools:
-    return np.asarray(
-        (distance < range_mm * _OCCLUDED_RANGE_RATIO)
-        & (distance > range_mm / _OCCLUDED_RANGE_RATIO)
-    )
+    return np.asarray((distance < range_mm * _RANGE_RATIO) & (distance > range_mm / _RANGE_RATIO))
 
 
 def _flag(names: Sequence[str], where: Floats) -> SecondBodyFlag:

@@ -8,9 +8,8 @@ import numpy as np
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
+from measure.limits import MOST_LISTED
 from measure_lab import api
-
-_MOST_SETTINGS = 10
 
 
 def compare(
@@ -43,11 +42,11 @@ def compare(
         ("differs", "first", "second"),
         [
             (key, *(f"{value:.24}" for value in values))  # of a digest the first letters say enough
-            for key, values in [*found.settings.items()][:_MOST_SETTINGS]
+            for key, values in [*found.settings.items()][:MOST_LISTED]
         ],
     )
-    if len(found.settings) > _MOST_SETTINGS:
-        console.print_text(f"and {len(found.settings) - _MOST_SETTINGS} more: --json has them")
+    if len(found.settings) > MOST_LISTED:
+        console.print_text(f"and {len(found.settings) - MOST_LISTED} more: --json has them")
     states = [(f"frame sets {state}", *counts, counts[1] - counts[0], "", "", "")
               for state, counts in found.states.items()]  # fmt: skip
     rows = [

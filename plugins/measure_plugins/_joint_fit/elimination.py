@@ -14,6 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled, inlined
+from measure.limits import STUDENT_DEGREES
 from measure_plugins._joint_fit.problem import PackedOutlines
 
 EFFECTS = 3
@@ -286,9 +287,6 @@ shifted by several px."""
 _PRIOR_SD_PX = 0.03
 _PRIOR_COUNT = 1.0
 _MIN_SD_PX = 0.003
-_DEGREES_OF_FREEDOM = 4.0
-"""Of Student's t distribution of the effects bx and by, a few of which are several times larger
-than the others."""
 _MIN_RADIUS_SD_PX = 0.1
 """Balls are not round to better than this, and edges differ: a size determines range no better."""
 
@@ -356,7 +354,7 @@ def update_effect_variance(
     variance[2] = max(radius / known_radius, _MIN_RADIUS_SD_PX**2)
     for k in range(len(inverse_weight)):
         distance = square[k] / variance[0]
-        inverse_weight[k] = (_DEGREES_OF_FREEDOM + distance) / (_DEGREES_OF_FREEDOM + 2)
+        inverse_weight[k] = (STUDENT_DEGREES + distance) / (STUDENT_DEGREES + 2)
 
 
 @compiled

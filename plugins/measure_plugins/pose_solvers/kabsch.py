@@ -23,9 +23,9 @@ from measure.geometry import (
     propagate,
 )
 from measure.host import PoseSolver, Settings, hookimpl, setting
+from measure.limits import MAX_STEPS
 from measure.model import BallPosition, Camera, Detection, Motion, Pose
 
-_MAX_ITERATIONS = 10
 _STEP_TOLERANCE = 1e-10
 
 
@@ -136,7 +136,7 @@ def _robust_fit(
     """Gauss-Newton with Huber weights; the pose, the weights (n, 3, 3) and the chi-square."""
     inverse = np.linalg.inv(covariances)
     pose, weight = start, inverse
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(MAX_STEPS):
         residuals = centers - pose.apply(points_body)
         distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, inverse, residuals))
         factor = np.minimum(1.0, huber / np.maximum(distance, 1e-12))

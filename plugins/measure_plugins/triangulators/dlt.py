@@ -14,10 +14,9 @@ import numpy as np
 from measure.arrays import Floats
 from measure.estimation import PointObservations, ray_distances
 from measure.geometry import propagate
+from measure.geometry.rays import MIN_PARALLAX_RAD
 from measure.host import Settings, Triangulator, hookimpl
 from measure.model import BallPosition, Camera, Detection
-
-_PARALLEL = 1e-4  # Third singular value over the first, below which the rays are parallel
 
 
 class DltTriangulator(Triangulator):
@@ -67,7 +66,7 @@ def _linear_point(observations: PointObservations) -> Floats | None:
     rows = np.concatenate([axes, moved[:, :, None]], axis=2)
     design = bearings[:, :, None] * rows[:, 2:, :] - rows[:, :2, :]
     _, s, vt = np.linalg.svd(design.reshape(-1, 4))
-    if not s[2] > _PARALLEL * s[0] or abs(vt[3, 3]) < _PARALLEL:
+    if not s[2] > MIN_PARALLAX_RAD * s[0] or abs(vt[3, 3]) < MIN_PARALLAX_RAD:
         return None
     return origin + scale * vt[3, :3] / vt[3, 3]
 

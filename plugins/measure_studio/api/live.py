@@ -33,9 +33,7 @@ from measure_studio.api import recording
 from measure_studio.api.marks import check_marks, marks_received
 from measure_studio.api.sending import Sending, SendOptions, open_sending, sent_pose
 from measure_studio.capture import CameraAddress, CameraCount, Cameras, Gathering, check_names
-from measure_studio.capture.sources import Source
-
-_RECENT = 30  # Frame sets over which the rate and the age of poses are taken
+from measure_studio.capture.sources import RECENT, Source
 
 
 @dataclass(frozen=True)
@@ -257,8 +255,8 @@ class _PaceMeter:
 
     def __init__(self, gathering: Gathering, rig: Cameras, watches: Sequence[RigWatch]) -> None:
         self._gathering, self._rig, self._watches = gathering, rig, watches
-        self._done: deque[float] = deque(maxlen=_RECENT)
-        self._ages: deque[float] = deque(maxlen=_RECENT)
+        self._done: deque[float] = deque(maxlen=RECENT)
+        self._ages: deque[float] = deque(maxlen=RECENT)
 
     def state(self, measured: Sequence[Measurement], images: Mapping[str, Image]) -> LiveState:
         """The state after these measurements of a frame set's pictures."""

@@ -15,11 +15,12 @@ from typing import Any
 
 from measure.errors import ConfigError
 from measure.host import needed
+from measure_studio.capture.sources import POLL_S
 
 _FORMS = "--marks takes udp://HOST:PORT, udp://:PORT for every network, or lsl:NAME"
 TYPED = "stdin:"  # Each line of the standard input is a mark
 _log = logging.getLogger(__name__)
-_POLL_S, _MOST_LETTERS = 0.2, 1000
+_MOST_LETTERS = 1000
 _Clock = Callable[[], float]
 _Marks = Iterator[tuple[float, Any] | None]  # Time and text; None where nothing comes for a while
 
@@ -72,7 +73,7 @@ def _source(address: str, clock_s: _Clock, stack: ExitStack) -> _Marks:
             return _from_lsl(needed("pylsl", "lsl"), rest, clock_s)
         if rest.startswith("//") and scheme == "udp" and port.isdecimal() and int(port):
             receiver = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            receiver.settimeout(_POLL_S)
+            receiver.settimeout(POLL_S)
             receiver.bind((host, int(port)))
             return _from_udp(receiver, clock_s)
     except (OSError, OverflowError, ConfigError) as problem:
@@ -102,7 +103,7 @@ def _from_lines(clock_s: _Clock) -> _Marks:
     Thread(target=_read_lines, args=(lines, clock_s), daemon=True).start()
     while True:
         try:
-            yield lines.get(timeout=_POLL_S)
+            yield lines.get(timeout=POLL_S)
         except Empty:
             yield None
 
@@ -123,6 +124,6 @@ def _from_lsl(lsl: Any, name: str, clock_s: _Clock) -> _Marks:
         yield None
     inlet = lsl.StreamInlet(found[0], processing_flags=lsl.proc_clocksync)
     while True:
-        sample, stamp_s = inlet.pull_sample(timeout=_POLL_S)
+        sample, stamp_s = inlet.pull_sample(timeout=POLL_S)
         ago_s = 0.0 if sample is None else lsl.local_clock() - stamp_s
         yield None if sample is None else (clock_s() - ago_s, sample[0])

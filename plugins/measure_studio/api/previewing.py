@@ -25,13 +25,12 @@ from measure.arrays import Bytes, Floats
 from measure.errors import MeasureError
 from measure.host import Registry
 from measure.model import Detection, Image
+from measure.model.frames import FULL
 from measure.session import read_body
 from measure_studio.api.recording import CaptureRequest
 from measure_studio.capture import CameraAddress, CameraCount, Cameras
+from measure_studio.capture.sources import POLL_S, RETRY_S
 
-CLIPPED_LEVEL = 250  # Of 255, from which a pixel of any colour is taken to be overexposed
-_POLL_S = 0.1
-_AGAIN_S = 1.0  # Wait before a camera that could not be reached is tried again
 _ROWS, _COLUMNS = 360, 480  # Of a picture that are judged, at least, where it has as many
 _REACH_PX = 25  # Width within which an edge's contrast is taken
 _EDGES, _BRIGHTEST = 0.9995, 0.99  # Quantiles that stand for the edges, and for what is bright
@@ -81,7 +80,7 @@ def clipped(pixels: Bytes) -> Bytes:
     """Which pixels of a picture (h, w, 3), or which of every few, are overexposed: 0 or 1."""
     step = max(1, pixels.shape[1] // _COLUMNS)
     blue, green, red = cv2.split(pixels[::step, ::step])
-    return np.asarray(cv2.max(cv2.max(blue, green), red) >= CLIPPED_LEVEL, np.uint8)
+    return np.asarray(cv2.max(cv2.max(blue, green), red) >= FULL, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -246,13 +245,13 @@ class WatchedCamera:
                 source = self._camera.source(asked.size_wh, asked.rate_hz, controls)
                 with Cameras({name: source}) as rig:
                     rig.begin([self._sink])
-                    while not (rig.over or self._stop.wait(_POLL_S)):
+                    while not (rig.over or self._stop.wait(POLL_S)):
                         rig.check()
                         self.now = CameraNow.of(name, rig.counts[name])
                     rig.check()
             except MeasureError as problem:
                 self.now = replace(self.now, problem=str(problem))
-            self._stop.wait(_AGAIN_S)
+            self._stop.wait(RETRY_S)
 
 
 class BallWatch:
@@ -275,7 +274,7 @@ class BallWatch:
         self._stop.set()
 
     def _work(self) -> None:
-        while not self._stop.wait(_POLL_S):
+        while not self._stop.wait(POLL_S):
             for name in self._cameras:
                 begun = time.monotonic()
                 if (image := self._preview.newest(name)) is not None:
@@ -285,7 +284,7 @@ class BallWatch:
                     best = {one.ball: one for one in sorted(found, key=lambda one: one.score)}
                     self._preview.note_balls(image, best.values())
                 # A first search that compiled for minutes is no reason to rest as long.
-                took_s = min(time.monotonic() - begun, _AGAIN_S)
+                took_s = min(time.monotonic() - begun, RETRY_S)
                 if self._stop.wait(took_s * (1 / _SEARCH_SHARE - 1)):
                     return
 

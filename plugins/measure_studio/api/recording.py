@@ -17,10 +17,9 @@ from measure.processes import until_stopped
 from measure.session import check_bodies, read_body, read_calibration
 from measure_studio import capture
 from measure_studio.capture.controls import ControlRecord, watched
-from measure_studio.capture.sources import Source
+from measure_studio.capture.sources import POLL_S, Source
 
 SESSION = "session.toml"  # By which a recording's folder is known
-_POLL_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def record(
             while not over():
                 rig.check()
                 on_state(rig.counts)
-                opened.stop.wait(_POLL_S)
+                opened.stop.wait(POLL_S)
             rig.check()
             rig.wait()  # what is counted is to be in the folder
     rig.check()

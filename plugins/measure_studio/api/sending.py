@@ -17,9 +17,9 @@ from measure.errors import ConfigError, MeasureError
 from measure.host import EventMark, Registry, SentPose, SentRun, Sink
 from measure.host.registry import failure
 from measure.model import Image
+from measure_studio.capture.sources import RETRY_S
 
 _HELD = 256  # What waits for a sink at most; of more the oldest is lost
-_REOPEN_S = 1.0  # Wait before a sink that failed is opened again
 _LINGER_S = 0.3  # How long receivers may still read what was sent last
 _LAST_S = 2.0  # Longest wait, at the end, for a sink to send what waits for it
 
@@ -201,7 +201,7 @@ class _Outlet:
             send(item)
         except Exception as error:
             self._failed += is_pose
-            self._is_open, self._reopen_at = False, time.monotonic() + _REOPEN_S
+            self._is_open, self._reopen_at = False, time.monotonic() + RETRY_S
             with suppress(Exception):
                 self.sink.close()
             if isinstance(error, OSError | MeasureError):

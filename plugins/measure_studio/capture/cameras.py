@@ -17,13 +17,20 @@ from measure.model import Image
 from measure_studio.capture.controls import DeviceControls
 from measure_studio.capture.device_clock import DeviceClock
 from measure_studio.capture.outages import Outage, OutageWatch
-from measure_studio.capture.sources import PATIENCE_S, Shot, Source, image_of, is_whole, size_wh
+from measure_studio.capture.sources import (
+    PATIENCE_S,
+    POLL_S,
+    RECENT,
+    RETRY_S,
+    Shot,
+    Source,
+    image_of,
+    is_whole,
+    size_wh,
+)
 
 SETTLING_S = 1.0  # Pictures of a camera's first second are discarded, see `Source.settles`
-_RECONNECT_S = 1.0  # Wait before a camera that broke off is connected anew
 _FIRST_PICTURE_S = 15.0  # Longest wait for the first picture of every camera
-_LOOK_EVERY_S = 0.05
-_INTERVALS = 64  # Latest intervals between pictures from which `uneven_s` is computed
 
 
 @dataclass(frozen=True)
@@ -190,7 +197,7 @@ class Cameras:
                         self._broke_off(name, CaptureError(f"{source.address}: the stream ended"))
                 if not source.lasting:
                     break
-                self._stop.wait(_RECONNECT_S)
+                self._stop.wait(RETRY_S)
         except BaseException as problem:
             self._failed.append(problem)  # raised again by `check`
         self._watch.end(name)
@@ -199,7 +206,7 @@ class Cameras:
     def _look(self) -> None:
         """The thread that tells which cameras are away."""
         self._go.wait()
-        while not self._stop.wait(_LOOK_EVERY_S):
+        while not self._stop.wait(POLL_S):
             for outage in self._watch.look():
                 if self._on_outage is not None:
                     self._on_outage(outage)
@@ -213,7 +220,7 @@ class Cameras:
     def _read(self, name: str, source: Source) -> None:
         """Hand on what a source delivers, until it ends or is to stop."""
         clock, connected, last_s = DeviceClock(), time.monotonic(), self._counts[name].last_s
-        steps: deque[float] = deque(maxlen=_INTERVALS)
+        steps: deque[float] = deque(maxlen=RECENT)
         last_jpeg: bytes | None = None
         for shot in source.shots():
             if self._stop.is_set():

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from measure.arrays import Floats
+from measure_studio.capture.sources import RECENT
 
 _WINDOW_S = 30.0
 """Delays older than this are dropped: clocks drift by tens of microseconds a second."""
@@ -17,7 +18,6 @@ _HELD_UP_S = 5.0  # Pictures that are later than that for a shorter time were he
 _MAX_RESTARTED_SHARE = 0.1
 """Share of pictures at which a clock may be set anew; one that stands still, or does not count
 seconds, is at every picture."""
-_ARRIVALS = 32  # Latest arrivals from which a camera's rate, and their jitter, are computed
 
 
 class Arrivals:
@@ -28,7 +28,7 @@ class Arrivals:
     """
 
     def __init__(self) -> None:
-        self._at_s: deque[float] = deque(maxlen=_ARRIVALS)
+        self._at_s: deque[float] = deque(maxlen=RECENT)
 
     def add(self, arrived_s: float) -> None:
         """A picture arrived."""

@@ -12,18 +12,16 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from measure.errors import MeasureError
+from measure.limits import GAP_PERIODS
 from measure.model import FrameSet, Image
+from measure_studio.capture.sources import POLL_S, RECENT
 
-_PATIENCE_PERIODS = 1.5
-"""How long a picture waits for those of other cameras, in periods of the fastest camera."""
 _REACH_PERIODS = 0.75
 """Largest distance of a set's pictures from its middle one, in periods. With half a period, cameras
 that expose just between two others would be lost at random."""
 _FIRST_PERIOD_S = 0.1  # Period assumed before any interval is known
-_INTERVALS = 32  # Latest intervals of each camera from which its period is computed
 _MAX_WAITING = 16  # Pictures of a camera that wait at a time, however slowly sets are taken
 _SILENT_PERIODS = 4  # A camera silent for so many of its periods is not waited for
-_POLL_S = 0.2
 
 
 class Gathering:
@@ -54,7 +52,7 @@ class Gathering:
         self._waiting: dict[str, deque[tuple[float, Image]]] = {
             name: deque(maxlen=_MAX_WAITING) for name in names
         }
-        self._steps: dict[str, deque[float]] = {name: deque(maxlen=_INTERVALS) for name in names}
+        self._steps: dict[str, deque[float]] = {name: deque(maxlen=RECENT) for name in names}
         self._last_s: dict[str, float] = {}
         self._begun_s = 0.0
         self._reached_s = -math.inf
@@ -127,7 +125,7 @@ class Gathering:
         """Wait for a picture, but not so long that one waits for another in vain."""
         with self._changed:
             if not self._is_ready(ended=False):
-                self._changed.wait(min(_POLL_S, self._period_s() / 2))
+                self._changed.wait(min(POLL_S, self._period_s() / 2))
 
     def _is_ready(self, ended: bool) -> bool:
         """Whether there are pictures to make a set of, and none worth waiting for."""
@@ -138,7 +136,7 @@ class Gathering:
         if ended or not any(self._is_due(name, until_s) for name in self._waiting):
             return True
         since = min(put for put, _ in firsts)
-        return self._clock() - since > _PATIENCE_PERIODS * self._period_s()
+        return self._clock() - since > GAP_PERIODS * self._period_s()
 
     def _is_due(self, name: str, until_s: float) -> bool:
         """Whether a camera without a waiting picture should have taken one until then."""
@@ -158,7 +156,7 @@ class Gathering:
         """One picture a camera, about the newest instant that all have reached."""
         period_s = self._period_s()
         newest = [waiting[-1][1].time_s for waiting in self._waiting.values() if waiting]
-        late_s = max(newest) - _PATIENCE_PERIODS * period_s
+        late_s = max(newest) - GAP_PERIODS * period_s
         reached = min(time_s for time_s in newest if time_s >= late_s)
         for name, waiting in self._waiting.items():
             while len(waiting) > 1 and _is_nearer(waiting[1][1], waiting[0][1], reached):

@@ -15,6 +15,9 @@ from measure.session.pictures import jpeg_size_wh
 from measure_studio.capture.controls import DeviceControls
 
 PATIENCE_S = 5.0  # A camera that has said nothing for so long is taken to be gone
+RETRY_S = 1.0  # Wait before what broke off, a camera or a sink, is tried again
+POLL_S = 0.1  # Between two looks at what comes by itself
+RECENT = 32  # Latest steps of a camera from which its rate, and their jitter, are computed
 
 
 @dataclass(frozen=True, eq=False, slots=True)

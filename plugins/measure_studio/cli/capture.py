@@ -9,9 +9,7 @@ from measure.api import WaveState
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure_studio import api as studio_api
-from measure_studio.cli.options import CameraOptions
-
-_LINE_EVERY_S = 2.0
+from measure_studio.cli.options import LINE_EVERY_S, CameraOptions
 
 
 def capture(
@@ -40,7 +38,7 @@ def capture(
     given, last = studio_api.parse_cameras(cameras), [time.monotonic()]
 
     def tell(state: WaveState) -> None:
-        if time.monotonic() - last[0] >= _LINE_EVERY_S:
+        if time.monotonic() - last[0] >= LINE_EVERY_S:
             last[0] = time.monotonic()
             console.note(f"{state.sentence()}; {', '.join(state.advice[:3])}")
 

@@ -18,10 +18,8 @@ from measure.cli.run import print_summary
 from measure.errors import ConfigError
 from measure_studio import api as studio_api
 from measure_studio.api import LiveEnd, LiveState
-from measure_studio.cli.options import CameraOptions
+from measure_studio.cli.options import LINE_EVERY_S, CameraOptions
 from measure_studio.cli.record import note_outage, print_cameras
-
-_LINE_EVERY_S = 2.0
 
 
 @Parameter(name="*")
@@ -113,7 +111,7 @@ class _StateLines:
             if (cause.cause, cause.of) not in self._said:
                 self._said.add((cause.cause, cause.of))
                 console.note(str(cause.finding))
-        if now - self._last >= _LINE_EVERY_S:
+        if now - self._last >= LINE_EVERY_S:
             self._last = now
             out = {*state.away, *(name for one in state.latest for name in one.copies)}
             there = f"{len(state.cameras) - len(out)} of {len(state.cameras)} cameras"

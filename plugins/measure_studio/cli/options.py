@@ -8,6 +8,8 @@ from cyclopts import Parameter
 
 from measure_studio import api
 
+LINE_EVERY_S = 2.0  # Between two lines of what has come
+
 
 @Parameter(name="*")
 @dataclass(frozen=True)

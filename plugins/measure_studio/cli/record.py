@@ -10,13 +10,13 @@ from pathlib import Path
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import BodyOptions
+from measure.limits import MOST_LISTED
 from measure.model import Image
 from measure_studio import api as studio_api
 from measure_studio.capture import CameraCount, Outage
 from measure_studio.cli.options import CameraOptions
 
 _UNEVEN_S = 2e-3  # Spread of the times of arrival, in s, from which a warning is printed
-_LISTED = 10  # Outages of a camera that are listed at the end; of more, the latest
 
 
 def record(
@@ -111,8 +111,8 @@ def _outage_lines(name: str, outages: Sequence[Outage]) -> Iterator[str]:
     """When a camera was away, and why."""
     if outages:
         times = "once" if len(outages) == 1 else f"{len(outages)} times"
-        yield f"note: {name} was away {times}" + ", of late" * (len(outages) > _LISTED)
-    for one in outages[-_LISTED:]:
+        yield f"note: {name} was away {times}" + ", of late" * (len(outages) > MOST_LISTED)
+    for one in outages[-MOST_LISTED:]:
         since = datetime.fromtimestamp(one.since_s).strftime("%H:%M:%S")
         lasted = "to the end" if one.lasts else f"for {one.until_s - one.since_s:.1f} s"
         yield f"  from {since} {lasted}: {one.reason}"

@@ -16,6 +16,7 @@ from nicegui import events, ui
 
 from measure import api
 from measure.errors import ConfigError
+from measure.limits import MOST_LISTED
 from measure_lab import api as lab
 from measure_studio import api as studio_api
 from measure_studio.page.bench import Bench, Job
@@ -36,7 +37,6 @@ from measure_studio.page.layout import (
 )
 from measure_studio.page.words import plain
 
-_LISTED = 8  # Rests, and events, that are listed, the latest
 _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
 _OLD_S = 2.0  # After so long without a pose the last one is no longer shown as if it were live
 _TRUTH = "truth.csv"  # In the folder, if there is one
@@ -291,7 +291,7 @@ def _event_lines(run: Path) -> list[str]:
         f"{number}. {what} at {datetime.fromtimestamp(time_s):%H:%M:%S.%f}"[:-4]
         for number, (time_s, what) in enumerate(api.events(run), 1)
     ]
-    return lines[-_LISTED:]
+    return lines[-MOST_LISTED:]
 
 
 def _pace(state: studio_api.LiveState) -> str:
@@ -305,7 +305,7 @@ def _rest_rows(live: _Live) -> list[dict[str, Any]]:
     rows = []
     for name, body in live.rests.items():
         found = body.find()
-        for number, rest in list(enumerate(found.rests))[-_LISTED:]:
+        for number, rest in list(enumerate(found.rests))[-MOST_LISTED:]:
             place = " ".join(f"{value:.2f}" for value in rest.world_from_body.translation)
             move = found.displacement(0, number)
             far = f"{move.distance_mm:.3f} ± {move.distance_sd_mm:.3f}" if number else ""

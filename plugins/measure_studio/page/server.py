@@ -22,6 +22,7 @@ from starlette.responses import FileResponse, PlainTextResponse, Response
 
 from measure import api
 from measure.errors import ConfigError, MeasureError
+from measure.limits import PATIENCE_S
 from measure_studio import api as studio_api
 from measure_studio.page import (
     body_page,
@@ -40,7 +41,6 @@ _PAGES = (".html", ".svg")  # What browsers run scripts of
 _SERVED = (*_PAGES, ".csv", ".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pdf")
 _WIDEST_PX = 4000
 _FOREIGN = re.compile(rb"<link[^>]*https://[^>]*>")  # In a page; browsers connect for its sake
-_PATIENCE_S = 60.0  # How long a page waits for a server that compiles, before it is loaded anew
 
 
 def serve(
@@ -121,7 +121,7 @@ def _application(bench: Bench) -> FastAPI:
         title="triball studio",
         language="en-US",
         dark=None,
-        reconnect_timeout=_PATIENCE_S,
+        reconnect_timeout=PATIENCE_S,
         show_welcome_message=False,
     )
     return application

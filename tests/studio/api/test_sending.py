@@ -80,7 +80,7 @@ def test_a_sink_that_stalls_costs_the_others_nothing():
 
 
 def test_a_port_that_is_taken_is_waited_for(monkeypatch):
-    monkeypatch.setattr("measure_studio.api.sending._REOPEN_S", 0.05)
+    monkeypatch.setattr("measure_studio.api.sending.RETRY_S", 0.05)
     sink, lines = Recording(), []
     sink.refused_openings = 2
     with Sending([("it", sink)], lines.append) as sending:
@@ -102,7 +102,7 @@ def test_a_port_that_is_taken_is_waited_for(monkeypatch):
 
 
 def test_a_sink_that_raises_is_told_once_and_opened_again(monkeypatch):
-    monkeypatch.setattr("measure_studio.api.sending._REOPEN_S", 0.02)
+    monkeypatch.setattr("measure_studio.api.sending.RETRY_S", 0.02)
     sink, lines = Recording(), []
     sink.error = ValueError("no such thing")
     with Sending([("it", sink)], lines.append) as sending:

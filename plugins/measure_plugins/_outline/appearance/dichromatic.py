@@ -12,13 +12,12 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure_plugins._outline.sampling.rays import CLEAR, Statuses
+from measure_plugins._outline.sampling.rays import CLEAR, FITTED_RAYS, Statuses
 
 GREY = 1 / np.sqrt(3.0)
 COLORLESS = 0.15
 """Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
 _OWN_LAST_PX = -3.0
-_COLOR_RAYS = 36  # The body colour is taken from about so many rays, evenly spaced
 _NEIGHBOURS = tuple(float(w) for w in np.exp(-0.5 * (np.arange(5) / 1.5) ** 2))
 """Weights of a ray and of those one to four further on: a normal distribution of sd 1.5 rays."""
 
@@ -30,7 +29,7 @@ def body_color(profiles: Floats, status: Statuses, steps: Floats) -> Floats:
     NaN if no pixel is clear and lit.
     """
     m, n = profiles.shape[1:]
-    every = max(n // _COLOR_RAYS, 1)
+    every = max(n // FITTED_RAYS, 1)
     colors = np.empty((3, n * m))
     brightest, greyness = np.empty(n * m), np.empty(n * m)
     count = 0

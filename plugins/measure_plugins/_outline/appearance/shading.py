@@ -13,20 +13,19 @@ from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.covariance import MAD_TO_SD
 from measure.geometry.linear_kernels import cholesky, solve_factored
-from measure_plugins._outline.sampling.rays import CLEAR, Statuses
+from measure_plugins._outline.sampling.rays import CLEAR, FITTED_RAYS, Statuses
 
 UNIFORM, AXIAL, RADIAL = 0, 1, 3
 """Columns of `RadialTables.diffuse` for uniform light, and light linear in the normal."""
 _LOBE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5])
 """Which radial function each of the nine angular terms goes with."""
-_FITTED_RAYS = 36  # Light is fitted to about so many rays, evenly spaced
-_ITERATIONS = 4
+REWEIGHTINGS = 4
 
 
 @compiled
 def some_clear(status: Statuses) -> Ints:
     """Indices (k,) of the clear rays, by the `status` (n,), to which light is fitted."""
-    return np.nonzero(status == CLEAR)[0][:: max(len(status) // _FITTED_RAYS, 1)]
+    return np.nonzero(status == CLEAR)[0][:: max(len(status) // FITTED_RAYS, 1)]
 
 
 @compiled
@@ -72,14 +71,14 @@ def fit_shading(amounts: Floats, status: Statuses, functions: Floats, used: int)
         design[k] = _every_second(functions[k], used, rays)
     weights, weighted = np.ones(len(seen)), np.empty(design.shape)
     factor = np.empty((terms, terms))
-    for turn in range(_ITERATIONS):
+    for turn in range(REWEIGHTINGS):
         for k in range(terms):
             for i in range(len(seen)):
                 weighted[k, i] = weights[i] * design[k, i]
         cholesky(np.dot(weighted, design.T) + 1e-3 * np.eye(terms), factor)
         right[:] = np.dot(weighted, seen)
         solve_factored(factor, right, coefficients)
-        if turn < _ITERATIONS - 1:
+        if turn < REWEIGHTINGS - 1:
             off = seen - np.dot(coefficients, design)
             sizes = np.abs(off[::3])
             typical = np.partition(sizes, len(sizes) // 2)[len(sizes) // 2]

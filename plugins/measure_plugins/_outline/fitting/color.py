@@ -7,11 +7,12 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
 from measure_plugins._outline.fitting.edges import Edges
-from measure_plugins._outline.fitting.scan import CameraImage, EdgeScan
+from measure_plugins._outline.fitting.scan import STEP_PX, CameraImage, EdgeScan
 from measure_plugins._outline.sampling.rays import CLEAR, OUT_OF_IMAGE, cast_rays, frame_about
 
-_STEP_PX = 0.5
-_EDGE_SD_PX = 0.5  # Standard deviation of where a colour ends along a ray, seen in whole pixels
+COLOR_SD_PX = 0.5
+"""Standard deviation of where a colour ends along a ray, seen in whole pixels; and of the centre
+by all of them, where shade or a reflection ends the colour."""
 _RINGS = (0.25, 0.5, 0.7, 0.85)
 """Radii, as shares of the outline's, at which the colour inside is sampled."""
 _CUT = 2  # By how many bits picture values are cut for a table of colours
@@ -41,9 +42,9 @@ def scan_color(
     height, width = view.pixels.shape[:2]
     at, clear, use = np.full(count, np.nan), np.zeros(count), np.zeros(count)
     for i in range(count):
-        colored, s = False, -reach_px - _STEP_PX
+        colored, s = False, -reach_px - STEP_PX
         while s < reach_px:
-            s += _STEP_PX
+            s += STEP_PX
             x = round(rays.points[i, 0] + s * rays.normals[i, 0])
             y = round(rays.points[i, 1] + s * rays.normals[i, 1])
             if not (0 <= x < width and 0 <= y < height):
@@ -51,12 +52,12 @@ def scan_color(
                 break
             b, g, r = view.pixels[y, x]
             before, colored = colored, colors[b >> _CUT, g >> _CUT, r >> _CUT] & bit != 0
-            if before and not colored and not abs(at[i]) <= abs(s - _STEP_PX / 2):
-                at[i] = s - _STEP_PX / 2
+            if before and not colored and not abs(at[i]) <= abs(s - STEP_PX / 2):
+                at[i] = s - STEP_PX / 2
         clear[i] = rays.status[i] == CLEAR
         use[i] = clear[i] * np.isfinite(at[i])
     dark = np.zeros((3, count))
-    edges = Edges(at, np.full(count, _EDGE_SD_PX), np.ones(count), dark, dark)
+    edges = Edges(at, np.full(count, COLOR_SD_PX), np.ones(count), dark, dark)
     return EdgeScan(frame, rays, scale, edges, clear, use)
 
 

@@ -15,7 +15,7 @@ from measure.compiling import compiled
 from measure.geometry.linear_kernels import inverse
 from measure.model.lens import bearing
 from measure_plugins._outline.appearance.radial_basis import RadialTables
-from measure_plugins._outline.fitting.color import scan_color
+from measure_plugins._outline.fitting.color import COLOR_SD_PX, scan_color
 from measure_plugins._outline.fitting.covariance import center_covariance, piecewise_covariance
 from measure_plugins._outline.fitting.edges import SEARCH_PX
 from measure_plugins._outline.fitting.robust_cone import MAX_RESIDUAL_PX
@@ -50,7 +50,6 @@ _CONVINCING_SHARE = 2 / 3
 _GROWTH_SEEN = (-0.5, 0.5)
 """Prior mean and sd in px of the radius of half-level crossings minus the one predicted by
 distance: diffuse light fades at grazing angles, so the crossing lies inside the outline."""
-_HALF_LEVEL_CONVERGED_PX = 0.5
 _ANY_GROWTH = (0.0, 1e3)  # The same prior where the size is not known
 _CIRCLE_REACH = 0.2
 """How far an outline may be from a circle found by colour, as a share of its radius."""
@@ -63,9 +62,6 @@ FROM_INSIDE = 0.95
 _CHANCE_SHARE = np.sqrt(1 - np.sqrt(INLIER)) * MAX_RESIDUAL_PX / SEARCH_PX
 """Share of edges that lie anywhere, not on the ball's outline, that agree with it by chance."""
 _MIN_INFORMATIVE = 0.05
-_COLOR_SD_PX = 0.5
-"""Standard deviation of a centre by the border of a colour, common to its rays: where shade or a
-reflection ends the range."""
 
 
 @compiled
@@ -164,11 +160,11 @@ def measure_unknown_size(
         fit = fit_scan(scan, _ANY_GROWTH, (turn == 0 and search.reach_px > 0) or not near)
         if not np.isfinite(fit.scale):
             break
-        if near and axis_shift_px(fit) < _HALF_LEVEL_CONVERGED_PX:
+        if near and axis_shift_px(fit) < _MAX_MOVE_PX:
             share = agreeing_share(scan, fit)
             spread, wider = _chance_corrected(scan, fit, share)
             if bit:
-                spread += _COLOR_SD_PX**2 * np.eye(2)
+                spread += COLOR_SD_PX**2 * np.eye(2)
             return outline_of(view, scan, fit, share, spread, wider)
         if turn > 0 and agreeing_share(scan, fit) < give_up_share:
             break

@@ -38,7 +38,7 @@ from measure_plugins._outline.sampling.rays import (
     sample_nearest,
 )
 
-_STEP_PX, _WHOLE_PX = 0.5, 1.0
+STEP_PX, _WHOLE_PX = 0.5, 1.0
 """Distance of samples: of a narrow scan, and of a wide one, which only starts a better one."""
 _LIGHT_PER_VALUE = 0.3
 """Slope of tone curves in the shade, light per picture value, where contrast is scarce."""
@@ -92,7 +92,7 @@ def scan_half_level(
     wider = max(reach_px - SEARCH_PX, 0.0)
     inside = (INSIDE_PX[0] - wider, INSIDE_PX[1] - wider)
     outside = (OUTSIDE_PX[0] + wider, OUTSIDE_PX[1] + wider)
-    step = _WHOLE_PX if wider > 0 else _STEP_PX
+    step = _WHOLE_PX if wider > 0 else STEP_PX
     steps = np.arange(inside[0], outside[1] + 1e-9, step)
     frame = frame_about(axis)
     rays, scale = cast_rays(frame, half_angle, search.rays, view.lens)

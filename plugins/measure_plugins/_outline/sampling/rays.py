@@ -278,6 +278,7 @@ def _mark_outside(image: Bytes, rays: RaySet, steps: Floats) -> None:
                 rays.status[i] = OUT_OF_IMAGE
 
 
+FITTED_RAYS = 36  # Light and the body colour are fitted to about so many rays, evenly spaced
 TOGETHER = 2
 """Rays in a group, to whose mean profile the predicted picture is fitted: that of one ray would
 follow its noise. With three, which are further apart, predictions are worse."""

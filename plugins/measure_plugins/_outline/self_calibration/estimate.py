@@ -44,8 +44,6 @@ hundred and fifty (0.62 under a single desk lamp, 0.68 far away); where it is be
 0.80 in front of dark cloth, and up to 0.92 in colourful rooms, for which see `has_common_response`.
 The first is the ratio without point lights above which bent curves are not tried further: no
 accepted one exceeded it."""
-_BENT_BELOW_TOGETHER = 1.0
-"""The same where the cameras together have shown that their common curve is bent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +94,7 @@ def estimate_appearance(
         light_if_bent = light_equations(clear, bent, world_from_camera)
         bent = with_point_lights(clear, bent, light_if_bent)
         ratio = residual_ratio(bent, straight, clear)
-    is_bent = ratio < (_BENT_BELOW_TOGETHER if assume_bent else _BENT_BELOW)
+    is_bent = ratio < (1.0 if assume_bent else _BENT_BELOW)
     chosen = choose_grazing_reflection(useful, bent if is_bent else straight)
     agreement = prediction_agreement(useful, chosen)
     chosen = replace(chosen, correction_weight=correction_weight_of([agreement]))

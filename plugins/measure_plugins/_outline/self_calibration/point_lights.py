@@ -26,7 +26,13 @@ from measure_plugins._outline.appearance.point_lights import (
 )
 from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.render import split_light
-from measure_plugins._outline.appearance.shading import AXIAL, RADIAL, UNIFORM, some_clear
+from measure_plugins._outline.appearance.shading import (
+    AXIAL,
+    RADIAL,
+    REWEIGHTINGS,
+    UNIFORM,
+    some_clear,
+)
 from measure_plugins._outline.fitting.edges import sampled_light
 from measure_plugins._outline.sampling.rays import STEPS, RaySet
 from measure_plugins._outline.self_calibration.patch import BallPatch
@@ -39,7 +45,6 @@ the camera if it is further away."""
 _OUTERMOST_PX = -1.0  # Last step along the normal that is used
 _STEP_STRIDE = 2
 _SKY_COLUMNS = 6  # Columns of light from all round, see `_skies`
-_ITERATIONS = 4
 _SWEEPS = 400
 _RIDGE = 3e-4
 """Ridge, per mean of the normal matrix's diagonal: it shares power among neighbouring places
@@ -132,12 +137,12 @@ def equations(shares: Sequence[Floats], seen: Sequence[Floats]) -> tuple[Floats,
     """Normal equations (k, k), (k,) of powers, of amounts (p,) by shares (p, k); albedos fitted."""
     albedo, weights = np.ones(len(seen)), [np.ones(len(one)) for one in seen]
     power, variance = np.zeros(shares[0].shape[1]), 1.0
-    for turn in range(_ITERATIONS):
+    for turn in range(REWEIGHTINGS):
         normal, right = np.zeros((len(power), len(power))), np.zeros(len(power))
         for one, amounts, scale, w in zip(shares, seen, albedo, weights, strict=True):
             add_normal(scale * one, w, amounts, normal, right)
         normal, right = (normal + np.tril(normal, -1).T) / variance, right / variance
-        if turn == _ITERATIONS - 1:
+        if turn == REWEIGHTINGS - 1:
             break
         power, left = _solve(normal, right, power), np.zeros(2)
         for i, (one, amounts) in enumerate(zip(shares, seen, strict=True)):

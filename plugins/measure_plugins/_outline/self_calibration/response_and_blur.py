@@ -16,6 +16,7 @@ from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure_plugins._outline.appearance.model import BENDS, GLOSSY, MATT, Appearance
 from measure_plugins._outline.appearance.point_lights import no_point_lights
+from measure_plugins._outline.appearance.shading import REWEIGHTINGS
 from measure_plugins._outline.fitting.edges import LATER_STEPS, compare
 from measure_plugins._outline.sampling.edge_crossing import clipped
 from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED, Statuses
@@ -35,7 +36,6 @@ _PRIOR_WEIGHT = 0.02
 _TRIAL = np.array([0.004, 0.01, 0.006, 0.1])
 """Steps of the numeric derivatives; that of blur exceeds the steps of its tables."""
 _BLUR_RANGE_PX = (0.5, 2.0)
-_ITERATIONS = 4
 _MIN_COST_DROP = 5e-3
 _WORSE_WITH_GRAZING = 0.02
 """Mean logarithm of the residual ratio, with and without grazing reflection, above which it is
@@ -172,7 +172,7 @@ def misfits(patches: Sequence[BallPatch], appearance: Appearance) -> Floats:
 def _refined(patches: Sequence[BallPatch], start: Appearance, prior_sd: Floats) -> Appearance:
     """Gauss-Newton on bends and log blur, damped until the cost falls."""
     best = _Update(patches, start, prior_sd)
-    for _ in range(_ITERATIONS):
+    for _ in range(REWEIGHTINGS):
         change, before = best.solve(), best.cost
         for damping in (1.0, 0.4):
             trial = _Update(patches, _moved(best.at, damping * change), prior_sd, best.scales)

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from measure.arrays import Floats
+from measure.limits import TINY
 from measure_plugins._outline.appearance.model import DEFAULT_CORRECTION_WEIGHT, Appearance
 from measure_plugins._outline.fitting.edges import find_edge_pairs
 from measure_plugins._outline.sampling.rays import CLEAR, TOGETHER
@@ -25,7 +26,6 @@ _PRIOR = 100.0 * np.array([(DEFAULT_CORRECTION_WEIGHT - _WEIGHT_UNSEEN) / _WEIGH
 _MIN_RAYS = 100
 _MIN_CONTRAST = 0.06
 _ITERATIONS = 10
-_TINY = 1e-9
 
 
 def correction_weight_of(agreements: Iterable[Floats]) -> float:
@@ -47,8 +47,8 @@ def prediction_agreement(patches: Sequence[BallPatch], appearance: Appearance) -
     weights, products = np.ones(len(seen)), np.stack([seen * predicted, predicted**2])
     for _ in range(_ITERATIONS):
         both, square = sums = products @ weights
-        left = seen - both / (square + _TINY) * predicted
-        limit = 4.685 * 1.4826 * np.median(np.abs(left)) + _TINY
+        left = seen - both / (square + TINY) * predicted
+        limit = 4.685 * 1.4826 * np.median(np.abs(left)) + TINY
         weights = np.clip(1 - (left / limit) ** 2, 0, None) ** 2
     return np.asarray(sums)
 
