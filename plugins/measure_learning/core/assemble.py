@@ -27,7 +27,7 @@ from measure_learning.robots import StateLog
 
 _LARGEST_OFFSET_S = 3600.0
 _LARGEST_RATE_HZ = 10_000.0
-_LONGEST_GAP_S = 0.05  # Labels farther than this from the robot's states are unusable
+LONGEST_GAP_S = 0.05  # Labels farther than this from the robot's states are unusable
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,7 @@ def _assemble_one(
     clock = _clock(track, finite, settings)
     offset = clock.offset_s if clock else settings.clock_offset_s or 0.0
     times, row_of_pose = _row_times(track.times_s + offset, finite, settings.history_hz)
-    states, near = interpolate(finite, times, _LONGEST_GAP_S)
+    states, near = interpolate(finite, times, LONGEST_GAP_S)
     positions, covariances = _measured_at(track, row_of_pose, len(times))
     reported = log.schema.position_mm(states)
     errors = positions - reported

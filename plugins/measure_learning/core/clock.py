@@ -11,6 +11,7 @@ from scipy.signal import correlate
 
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
+from measure.limits import CLEAR_RATIO
 
 _GRID_HZ = 100.0
 _HALF_SPAN_S = 0.1  # velocities are differences of positions over twice this time
@@ -22,7 +23,6 @@ _GAP_S, _GAP_STEPS = 0.3, 3.0  # a step longer than both (s, median steps) is a 
 _SLOPE_S = 0.01
 _MIN_CORRELATION = 0.9
 _MIN_RIVAL_DISTANCE_S = 0.5  # offsets nearer to the best one are not its rivals
-_MIN_RESIDUAL_RATIO = 3.0  # of the residual motion at a rival offset to that at the best
 _MAX_CORRELATION_S = 2.0  # residuals closer in time than this may be correlated
 _MEDIAN_SAMPLES = 5  # window of the median filter that finds outliers
 _MIN_KEPT_SHARE = 0.8  # of the positions; more outliers than the rest mean another cause
@@ -30,7 +30,7 @@ _MIN_KEPT_SHARE = 0.8  # of the positions; more outliers than the rest mean anot
 _DELAY_SHARE = 0.5
 _ROUGH_HZ = 10.0  # of a search that only has to find the place
 _PIECE = 1 << 16  # instants compared at a time
-_SPARSE_POSES_S = 0.4  # poses farther apart in time miss most of the motion
+SPARSE_S = 0.4  # poses farther apart in time miss most of the motion
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def estimate_offset(
             f"no axis reversed, and the tip the body's origin (else `measure register`)?{hint}"
         )
     rival = int(np.argmax(np.where(np.abs(lags - lags[best]) > _MIN_RIVAL_DISTANCE_S, scores, 0.0)))
-    if 1 - scores[rival] ** 2 < _MIN_RESIDUAL_RATIO * (1 - scores[best] ** 2):
+    if 1 - scores[rival] ** 2 < CLEAR_RATIO * (1 - scores[best] ** 2):
         raise EstimatorError(
             f"the motion fits clock offsets of {lags[best]:.2f} s and {lags[rival]:.2f} s alike "
             f"(correlations {scores[best]:.2f} and {scores[rival]:.2f}), as it repeats itself or "
@@ -99,7 +99,7 @@ def _sparse_hint(camera_times_s: Floats, robot_times_s: Floats) -> str:
     """Says of times that lie too far apart that these may be why no speeds agree."""
     step, own = (float(np.median(np.diff(t))) for t in (camera_times_s, robot_times_s))
     what, longest = max(("Poses", step), ("States", own), key=lambda pair: pair[1])
-    if longest <= _SPARSE_POSES_S:
+    if longest <= SPARSE_S:
         return ""
     return f" {what} every {longest:.3g} s hardly show speeds: if that is in s, give the offset."
 

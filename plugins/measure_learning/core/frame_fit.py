@@ -16,15 +16,15 @@ from measure.arrays import Bools, Floats, Ints, rms_length
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
 from measure.geometry.covariance import squared_mahalanobis
 from measure.geometry.normal_equations import posterior_covariance, undetermined
+from measure.limits import MAX_STEPS
 from measure.metrology.poses import PoseTable, SharedErrors, independent_count
 from measure.robots import SerialChain
-from measure.robots.chain import LinkEffects, link_jacobian, usual_sd, with_link_errors
 from measure_learning.core.turns import nearest_rotation, turn_products, turn_starts
+from measure_learning.robots.links import LinkEffects, link_jacobian, usual_sd, with_link_errors
 
 FRAMES = 12
 """Parameters of both frames: world_from_base, then body_from_flange, each as `perturb` has them."""
 _OUTLIER_SDS = 6.0
-_STEPS = 12
 _EXACT_S = 1e-7  # SD of a clock that is given
 _UNKNOWN_MM, _UNKNOWN_RAD, _UNKNOWN_S = 1e3, 2.0, 1.0
 """SD of a shift, a turn and a clock that nothing shows: more than an arm, any turn, a search."""
@@ -223,7 +223,7 @@ def _with_links(fit: FrameFit, seen: Sightings) -> FrameFit:
     """Everything at once; the links' standard deviations and the noise as well."""
     known = precision(seen, fit.link_sd)[: FRAMES + len(seen.shared)]
     found = LinkEffects(known, known, fit.link_sd, fit.noise)
-    for step in range(_STEPS):
+    for step in range(MAX_STEPS):
         near = LinearModel.of(fit, seen)
         _, N, g = near.normal()
         squares = float(squared_mahalanobis(near.residuals, near.covariances).sum())
@@ -239,7 +239,7 @@ def _without_links(fit: FrameFit, seen: Sightings) -> FrameFit:
     free = FRAMES + len(seen.shared)
     fitted = replace(fit, links=np.zeros_like(fit.links))
     known = precision(seen, fit.link_sd)[:free]
-    for _ in range(_STEPS):
+    for _ in range(MAX_STEPS):
         near = LinearModel.of(fitted, seen)
         weighted, N, g = near.normal(_spread(near, fit))
         x = np.zeros(N.shape[0])

@@ -20,7 +20,7 @@ _JITTER_S = 1.0  # Largest step back of a stamp that is jitter, not a clock that
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 """Largest value of a feature: networks compute in float32."""
 _REMEMBERED = 4096  # Corrected states whose true positions may still come
-_FAR_MM = 100.0  # No robot errs by so much: a true position in other units or another frame
+FAR_MM = 100.0  # No robot errs by so much: a true position in other units or another frame
 _MAX_PAUSE_S = 1000.0
 """Largest step ahead of a stamp; a longer one needs a second stamp that confirms it."""
 
@@ -143,7 +143,7 @@ class GuardedModel:
         if self.follower is None or number is None or number not in self._recent:
             return self.counters.refuse(Refusal.REPEATED)
         state, time_s, correction = self._recent[number]
-        if np.linalg.norm(true_mm - self.model.schema.position_mm(state)) > _FAR_MM:
+        if np.linalg.norm(true_mm - self.model.schema.position_mm(state)) > FAR_MM:
             return self.counters.refuse(Refusal.FAR)
         self.follower.add(correction, state, time_s, true_mm, covariance)
         self.counters.measured += 1

@@ -9,9 +9,9 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.robots.chain import link_names
 from measure_learning.core.frame_fit import FRAMES, FrameFit, LinearModel, Sightings, fit_frames
 from measure_learning.core.next_pose import next_pose
+from measure_learning.robots.links import link_names
 from measure_learning.robots.tool_poses import ToolPoses
 
 _LEAST_TURN_DEG = 5.0  # about a second axis, for a half of the poses to be judged by the other

@@ -12,6 +12,7 @@ from measure.arrays import Floats, rms_length
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, align_points, skew
 from measure.host import Dataset
+from measure.limits import CLEAR_RATIO
 from measure.robots import SerialChain, StateSchema
 from measure_learning.core.slips import Misfit, changed
 from measure_learning.core.turns import align_turns
@@ -23,8 +24,6 @@ _MIN_ROWS, _MIN_PLANE_SPREAD_MM = 20, 10.0
 """Fewer positions, or positions nearer to one line, do not determine a frame."""
 _MIN_CORRELATION = 0.8
 _MIN_APART_DEG = 3.0  # of rotations that may be inverted
-_MIN_MIRROR_RATIO = 3.0
-"""Of the residual motion to that in a mirrored frame, from which the frame is called mirrored."""
 
 
 def check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
@@ -75,7 +74,7 @@ def check_frames(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
             "far from the body's origin, or another frame, is found by `measure register`."
         )
     elif (
-        1 - turned**2 > _MIN_MIRROR_RATIO * (1 - mirrored**2)
+        1 - turned**2 > CLEAR_RATIO * (1 - mirrored**2)
         and _spread(reported_mm)[2] > _MIN_PLANE_SPREAD_MM
     ):
         wrong = "are mirror images of each other: are two axes exchanged, or one reversed?"
@@ -96,7 +95,7 @@ def check_turns(name: str, measured: Floats, modelled: Floats, *, most_deg: floa
         for turns in (measured, np.swapaxes(measured, 1, 2))
     )
     said = f"{name}: the measured rotations are {apart:.1f} deg (RMS) from those of the joints"
-    if apart > max(_MIN_APART_DEG, _MIN_MIRROR_RATIO * inverted):
+    if apart > max(_MIN_APART_DEG, CLEAR_RATIO * inverted):
         raise EstimatorError(
             f"{said}, and inverted {inverted:.1f}: qw, qx, qy, qz must stand in this order and "
             "turn the body's axes into the world's"
@@ -123,7 +122,6 @@ def _spread(positions_mm: Floats) -> Floats:
 
 _log = logging.getLogger(__name__)
 
-_LEAST_ROWS = 20  # Fewer do not tell what kinematics are off by
 _LEAST_RMS_MM = 3.0  # Of labels, from which they are called something else than errors
 _LEAST_CHANGED, _LEAST_CHANGED_MM = 60, 0.3
 """Labels, and their RMS, from which a scale or a jump is looked for in them."""
@@ -325,7 +323,7 @@ def _own_left_mm(pairs: Paired, chain: SerialChain) -> float:
 
 def chain_doubt(chain: SerialChain | None, joints: Floats, reported_mm: Floats) -> str | None:
     """How far the chain is from what the robot reports, and what would mend it; None if it fits."""
-    if chain is None or len(joints) < _LEAST_ROWS:
+    if chain is None or len(joints) < _MIN_ROWS:
         return None
     tip = chain.tip_mm(joints)
     size = rms_length(reported_mm - tip)

@@ -17,20 +17,19 @@ from measure.errors import EstimatorError
 from measure.host import Correction, Dataset
 from measure.reading import candidates, time_columns
 from measure.robots import StateSchema
-from measure.robots.schema import FeatureColumns
 from measure_learning.core import offsets
-from measure_learning.core.assemble import AssemblySettings, PoseTrack, assemble
+from measure_learning.core.assemble import LONGEST_GAP_S, AssemblySettings, PoseTrack, assemble
 from measure_learning.core.files import covariance_columns
 from measure_learning.core.frames import RobotFrame
 from measure_learning.core.guard import GuardedModel
 from measure_learning.core.labels import Paired, chain_doubt, check_units, not_the_robot
 from measure_learning.onnx import OnnxModel
 from measure_learning.robots import LogFile, check_robot, feature_columns, is_table, log_pieces
+from measure_learning.robots.columns import FeatureColumns
 from measure_learning.robots.log_clock import Clock
 from measure_learning.robots.tables import TableFile
 
 _MOST_UNFAMILIAR, _SPARSEST = 0.5, 10.0  # share of states; their steps over those of the training
-_NEAR_S = 0.05  # a true position is that of the first state after it, if no later than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +172,7 @@ class Corrector:
         ):
             at, self._next = self._next, self._next + 1
             position = self._true.positions_mm[at]
-            if np.isfinite(position).all() and time_s - self._true.times_s[at] <= _NEAR_S:
+            if np.isfinite(position).all() and time_s - self._true.times_s[at] <= LONGEST_GAP_S:
                 self._guarded.measured(position, self._true.covariances[at])
                 self._seen.append((state, position))
 
@@ -184,7 +183,7 @@ class Corrector:
         if not self._seen:
             raise EstimatorError(
                 f"{true.name}: none of {len(true.times_s)} true positions was measured within "
-                f"{_NEAR_S:g} s before a state: they are from {true.times_s[0]:.6g} to "
+                f"{LONGEST_GAP_S:g} s before a state: they are from {true.times_s[0]:.6g} to "
                 f"{true.times_s[-1]:.6g} s, on the states' clock?"
             )
         schema = self._guarded.model.schema

@@ -9,6 +9,7 @@ import numpy as np
 from measure.arrays import Floats, floats
 from measure.errors import EstimatorError
 from measure.host import Correction
+from measure.limits import HUBER_SIGMAS
 from measure.robots import SerialChain, StateSchema
 
 _MIN_STATES = 10
@@ -24,7 +25,6 @@ _MIN_SPREAD = 0.5  # of the joints' SDs, as a share of those in training
 _APART_SPREAD = 0.15  # the same of poses far apart: they are spread as the session is
 _LEAST_LEVER_MM = 5.0  # of a joint, which scales its offset
 _CURE = "measure ten poses or more, spread over the workspace"
-_HUBER_SDS = 2.5
 _MIN_SCALE_MM = 0.05
 
 
@@ -173,7 +173,7 @@ def _regression(
         left = residuals - design @ found
         size = np.maximum(np.linalg.norm(left, axis=1), 1e-12)
         scale = max(float(np.median(size)) / 1.54, _MIN_SCALE_MM)  # of a 3-D normal, per axis
-        weights = np.minimum(1.0, _HUBER_SDS * scale / size)
+        weights = np.minimum(1.0, HUBER_SIGMAS * scale / size)
         weights *= share / scale**2
         normal = np.einsum("nij,n,nik->jk", design, weights, design) + prior
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)

@@ -12,7 +12,6 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import skew
 from measure.robots import SerialChain, StateSchema
-from measure.robots.chain import TURNS, link_names
 from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, fit_frames
 from measure_learning.core.frames import RobotFrame
 from measure_learning.core.judged_frames import judgement
@@ -21,6 +20,7 @@ from measure_learning.core.sightings import LoggedTrack as LoggedTrack
 from measure_learning.core.sightings import clock_of, moving, own_delays_s, rough_clock_of
 from measure_learning.core.slips import Misfit, changed, explain
 from measure_learning.core.stops import LEAST_STOPS, Stops, at_rest, is_sparse, stop_sightings
+from measure_learning.robots.links import TURNS, link_names
 from measure_learning.robots.tool_poses import ToolPoses
 
 _LEAST_POSES, _LEAST_S = 30, 15.0

@@ -10,17 +10,23 @@ import numpy as np
 from measure.arrays import Floats, rms_length
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
+from measure.limits import LEVER_MM
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.robots import SerialChain
-from measure_learning.core.assemble import CompleteStates, PoseTrack, complete_states, interpolate
+from measure_learning.core.assemble import (
+    LONGEST_GAP_S,
+    CompleteStates,
+    PoseTrack,
+    complete_states,
+    interpolate,
+)
 from measure_learning.core.clock import estimate_offset, rough_offset
 from measure_learning.core.frame_fit import FRAMES, FrameFit, LinearModel, Sightings
 from measure_learning.core.labels import chain_doubt
 from measure_learning.robots import StateLog
 
 _LONGEST_SEARCH_S = 9e3  # on either side of where the recordings begin together
-_LONGEST_GAP_S, _RATE_STEP_S = 0.05, 0.01
-_PATH_MM_PER_RAD = 100.0
+_RATE_STEP_S = 0.01
 _MOST_BETWEEN_MM = 1.0
 """RMS by which the tip between two states of a log may be off a straight way: several times what
 cheap cameras err by. The bend of the way over two steps is four times that."""
@@ -97,7 +103,7 @@ def _joints(one: LoggedTrack) -> tuple[Floats, Floats]:
 def _turning_path(rotations: Floats) -> Floats:
     """A path (n, 3) whose velocity is the angular velocity, along the axes of the target frame."""
     steps = RigidTransform(rotations[1:] @ np.swapaxes(rotations[:-1], 1, 2), np.zeros(3)).rotvec
-    return _PATH_MM_PER_RAD * np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return LEVER_MM * np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
 
 def moving(
@@ -114,7 +120,7 @@ def moving(
         around = (at + _RATE_STEP_S * np.array([[0.0], [1.0], [-1.0]])).ravel()
         log = complete_states(track.name, one.log)
         _refuse_sparse(track.name, log)
-        states, near = interpolate(log, around, _LONGEST_GAP_S)
+        states, near = interpolate(log, around, LONGEST_GAP_S)
         states, ahead, behind = states.reshape(3, len(at), -1)
         usable = np.asarray(near.reshape(3, -1).all(axis=0))
         read = schema.joint_positions if schema.chain else schema.position_mm
@@ -151,7 +157,7 @@ def _refuse_sparse(name: str, log: CompleteStates) -> None:
     bend = way[1:-1] - (way[2:] + way[:-2]) / 2
     off = rms_length(bend) / 4
     step = float(np.median(np.diff(log.times_s)))
-    if off > _MOST_BETWEEN_MM and step > _LONGEST_GAP_S:
+    if off > _MOST_BETWEEN_MM and step > LONGEST_GAP_S:
         wanted = step * np.sqrt(0.1 * _MOST_BETWEEN_MM / off)
         raise EstimatorError(
             f"{name}: the robot's log has a state every {step:.2g} s, and between two of them the "

@@ -19,6 +19,7 @@ from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
 from measure.geometry.covariance import inverted
 from measure.geometry.normal_equations import posterior_covariance
+from measure.limits import CLEAR_RATIO, LEVER_MM
 from measure.robots import SerialChain
 from measure_learning.core.frame_fit import (
     FRAMES,
@@ -33,8 +34,6 @@ from measure_learning.core.frame_fit import (
 
 _COMPARED, _FITTED = 60, 120  # poses by which slips are ranked, and the best of them fitted
 _LIKELY, _FINALISTS = 60, 4  # slips ranked by all, after the rotations alone; and those fitted
-_LEVER_MM = 100.0  # a turn counts as what it moves at this distance
-_BETTER = 3.0  # times less must be left once a slip is undone
 _MOST_LEFT = 0.1  # share of the motion that may be left then
 _MOST_JOINTS = 7  # whose orders are all tried: 5040
 _EXPLAINED = 0.6  # share of the RMS up to which one more unknown leaves it, to be the cause
@@ -63,7 +62,7 @@ def explain(seen: Sightings, joint_names: Sequence[str], eye_in_hand: bool = Fal
     few = seen.take(_some(len(seen.poses), _COMPARED))
     every = _slips(few, joint_names, eye_in_hand)
     likely = heapq.nlargest(_LIKELY, every, key=lambda slip: turns_agree(slip.undone))
-    ranked = sorted(likely, key=lambda slip: quick_miss(slip.undone, _LEVER_MM))
+    ranked = sorted(likely, key=lambda slip: quick_miss(slip.undone, LEVER_MM))
     wanted = {slip.said for slip in ranked[:_FINALISTS]}
     more = seen.take(_some(len(seen.poses), _FITTED))
     slips = [slip for slip in _slips(more, joint_names, eye_in_hand) if slip.said in wanted]
@@ -71,7 +70,7 @@ def explain(seen: Sightings, joint_names: Sequence[str], eye_in_hand: bool = Fal
     left, best = min(((_left_mm(slip.undone), slip) for slip in slips), key=lambda pair: pair[0])
     places = best.undone.poses.world_from_body.translation
     spread = float(np.linalg.norm(places.std(axis=0)))
-    if left > before / _BETTER or left > max(_MOST_LEFT * spread, 1.0):
+    if left > before / CLEAR_RATIO or left > max(_MOST_LEFT * spread, 1.0):
         return None
     return (
         f"{best.said}: {left:.2f} mm are left once that is undone, {before:.0f} mm as it is: "
@@ -81,7 +80,7 @@ def explain(seen: Sightings, joint_names: Sequence[str], eye_in_hand: bool = Fal
 
 def _size_mm(residuals: Floats) -> float:
     """RMS of residuals (n, 3 or 6) in mm, turns at a lever."""
-    levers = np.repeat([1.0, _LEVER_MM], 3)[: residuals.shape[1]]
+    levers = np.repeat([1.0, LEVER_MM], 3)[: residuals.shape[1]]
     return float(rms_length(residuals * levers))
 
 
@@ -224,7 +223,7 @@ def changed(misfit: Misfit, own_mm: float = np.inf) -> str | None:
     left, x, what, at_s = min(found, key=lambda one: one[0])
     if not left < _EXPLAINED * min(before, own_mm):
         return None
-    turns = f" (turns at {_LEVER_MM:g} mm)" if size > 3 else ""
+    turns = f" (turns at {LEVER_MM:g} mm)" if size > 3 else ""
     words = f"{left:.2f} mm are left then, {before:.2f} mm as it is{turns}"
     if not what:
         if not _LEAST_SCALE < abs(x[0]) < _MOST_SCALE:

@@ -15,19 +15,20 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
+from measure.limits import LEVER_MM
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import find_rests
 from measure.model import Ball, BallColor, Body
 from measure.robots import StateSchema
 from measure_learning.core.assemble import PoseTrack
+from measure_learning.core.clock import SPARSE_S
 from measure_learning.core.frame_fit import Sightings
 from measure_learning.core.sightings import LoggedTrack
 from measure_learning.core.turns import align_turns
 
 LEAST_STOPS = 8
-_SPARSE_S = 0.4  # between poses or states, from which they are of a robot that stood still
 _STILL_MM = 0.3  # way of the tip, and of a point 100 mm from it, over half a second
-_STILL_S, _LEVER_MM = 0.5, 100.0
+_STILL_S = 0.5
 _SAME_S = 0.3  # between the instants of one stop on two clocks that are brought together
 _MOST_OFFSETS = 12  # of those that match most stops are compared by their geometry
 
@@ -80,7 +81,7 @@ def at_rest(one: LoggedTrack, clock_offset_s: float | None) -> Stops | None:
 def is_sparse(track: PoseTrack) -> bool:
     """Whether poses are so far apart in time that they show places and no motion."""
     steps = np.diff(track.measured().times_s)
-    return len(steps) > 0 and float(np.median(steps)) > _SPARSE_S
+    return len(steps) > 0 and float(np.median(steps)) > SPARSE_S
 
 
 def stop_sightings(stops: Sequence[Stops], schema: StateSchema) -> Sightings:
@@ -110,7 +111,7 @@ def stop_sightings(stops: Sequence[Stops], schema: StateSchema) -> Sightings:
 def _body_rests(track: PoseTrack, shared: SharedErrors | None) -> tuple[PoseTable, _RestSpans]:
     """Mean poses of the body's rests; every pose is one if they are far apart in time."""
     table = track.table()
-    if float(np.median(np.diff(track.times_s))) > _SPARSE_S:
+    if float(np.median(np.diff(track.times_s))) > SPARSE_S:
         return table, _RestSpans(table.times_s, table.times_s)
     found = find_rests(table, shared or SharedErrors((), _ANY_BODY), _STILL_S).rests
     ends = np.array([(rest.start_s, rest.end_s) for rest in found]).reshape(-1, 2)
@@ -142,13 +143,13 @@ def _robot_rests(one: LoggedTrack) -> tuple[Floats, _RestSpans]:
     places = _far_points(log.schema, states)
     ahead = np.minimum(np.searchsorted(times, times + _STILL_S, side="right") - 1, len(times) - 1)
     step = float(np.median(np.diff(times)))
-    if step > _SPARSE_S:
+    if step > SPARSE_S:
         ahead = np.minimum(np.arange(len(times)) + 1, len(times) - 1)
     still = np.abs(places[ahead] - places).max(axis=1) < _STILL_MM
-    still &= times[ahead] - times > 0.8 * min(_STILL_S, step) if step <= _SPARSE_S else True
+    still &= times[ahead] - times > 0.8 * min(_STILL_S, step) if step <= SPARSE_S else True
     starts = np.flatnonzero(still & ~np.concatenate([[False], still[:-1]]))
     ends = np.flatnonzero(still & ~np.concatenate([still[1:], [False]]))
-    if step > _SPARSE_S and len(starts) < LEAST_STOPS:  # a state a stop
+    if step > SPARSE_S and len(starts) < LEAST_STOPS:  # a state a stop
         return states, _RestSpans(times, times)
     stops = [np.median(states[a : ahead[b] + 1], axis=0) for a, b in zip(starts, ends, strict=True)]
     return np.array(stops).reshape(-1, states.shape[1]), _RestSpans(
@@ -162,7 +163,7 @@ def _far_points(schema: StateSchema, states: Floats) -> Floats:
     if schema.chain is None:
         return place
     turns = schema.chain.pose(schema.joint_positions(states)).rotation
-    return np.concatenate([place, (place[:, None] + _LEVER_MM * turns).reshape(len(place), 9)], 1)
+    return np.concatenate([place, (place[:, None] + LEVER_MM * turns).reshape(len(place), 9)], 1)
 
 
 def _matched(

@@ -14,7 +14,10 @@ from measure import host
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.robots import SerialChain
-from measure.robots.chain import (
+from measure_learning import onnx
+from measure_learning.estimators._inputs import WithinTrajectoryEstimator
+from measure_learning.estimators._kinematics import chain_change
+from measure_learning.robots.links import (
     TURNS,
     LinkEffects,
     link_jacobian,
@@ -22,9 +25,6 @@ from measure.robots.chain import (
     usual_sd,
     with_link_errors,
 )
-from measure_learning import onnx
-from measure_learning.estimators._inputs import WithinTrajectoryEstimator
-from measure_learning.estimators._kinematics import chain_change
 
 _STEPS = 6
 _TIP = ("tip_x_mm", "tip_y_mm", "tip_z_mm")

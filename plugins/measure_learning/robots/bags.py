@@ -19,7 +19,8 @@ from measure.arrays import Floats
 from measure.bags import described, open_bag, stamp_ns
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.robots.schema import FeatureColumns, StateSchema, find_columns, heading_hint
+from measure.robots.schema import StateSchema
+from measure_learning.robots.columns import FeatureColumns, find_columns, heading_hint
 from measure_learning.robots.raven import FIELDS, raven_schema
 from measure_learning.robots.tables import PIECE_ROWS
 

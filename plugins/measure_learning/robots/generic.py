@@ -15,7 +15,8 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.reading import FileModel, parse_toml, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
-from measure.robots.schema import UNITS_S, Feature, LogFormat, OtherNames, Reading, StateSchema
+from measure.robots.schema import Feature, LogFormat, OtherNames, Reading, StateSchema
+from measure_learning.robots.columns import UNITS_S
 from measure_learning.robots.urdf import Follows, read_urdf
 
 BUILTIN = Path(__file__).with_name("builtin")

@@ -9,7 +9,8 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.reading import TIME, candidates, stated_unit_s, time_columns
-from measure.robots.schema import UNITS_S, StateSchema
+from measure.robots.schema import StateSchema
+from measure_learning.robots.columns import UNITS_S
 
 _SLOWEST_S, _FASTEST_S = 1.0, 1e-4  # Steps of robot logs
 _EPOCH_S = (1e9, 1e10)  # Seconds since 1970 of the years 2001 to 2286

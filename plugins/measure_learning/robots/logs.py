@@ -12,15 +12,13 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
 from measure.reading import TIME
-from measure.robots.headings import by_place
-from measure.robots.schema import (
+from measure.robots.schema import RobotLog, StateSchema, reported_mm
+from measure_learning.robots.columns import (
     FeatureColumns,
-    RobotLog,
-    StateSchema,
+    by_place,
     find_columns,
     heading_hint,
     lacking,
-    reported_mm,
 )
 from measure_learning.robots.generic import BUILTIN, read_schema
 from measure_learning.robots.log_clock import Clock

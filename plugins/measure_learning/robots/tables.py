@@ -18,7 +18,7 @@ from pyarrow import types as kinds
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.reading import check_ordinary
-from measure.robots.schema import lacking
+from measure_learning.robots.columns import lacking
 
 _SNIFFED_BYTES = 1 << 16
 _BINARY = (".parquet", ".bag", ".mcap", ".db3")
