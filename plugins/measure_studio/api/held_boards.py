@@ -1,120 +1,56 @@
-"""What cameras see of a printed board, through their true lenses."""
+"""Printed boards, and how a person holds them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import zip_longest
 
-import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from measure.arrays import Bytes, Floats
 from measure.geometry import RigidTransform
 from measure.model import Camera
-from measure.simulation.canvas import ideal_grid
-from measure.simulation.sensor import Linear
+from measure.simulation.scene import Cuboid, Material
 
-_INK, _PAPER, _BACK = 0.02, 0.52, 0.3  # Radiance: print, paper in the light, and the board's back
-_FINER = 2  # Rays through a pixel, along each side
-_SIDE_PX = 4.0  # Beyond its outline, for the area in which a board is drawn
+_INK, _PAPER, _BACK = 0.02, 0.52, 0.3  # Reflectance: print, paper, and the board's other sides
+_THICK_MM = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class RenderedSheet:
-    """A printed sheet, stiff and flat.
+def printed_board(print_: Bytes, px_per_mm: float, corner_mm: tuple[float, float]) -> Cuboid:
+    """A stiff and flat board with a print; its frame is that of the target on it.
 
-    Its frame is that of the board on it: in the plane z = 0, x right, y down, z into the paper.
+    That is in the plane z = 0, x right, y down, z into the board.
+
+    Args:
+        print_: (h, w) from 0, black, to 255, white.
+        corner_mm: where the print's upper left corner lies in the frame.
     """
+    height, width = print_.shape
+    size = np.array([width / px_per_mm, height / px_per_mm, _THICK_MM])
 
-    print: Bytes  # (h, w) from 0, black, to 255, white
-    px_per_mm: float  # of the print
-    corner_mm: tuple[float, float]  # where the print's upper left corner lies in the frame
+    def reflectance(points: Floats) -> Floats:
+        place = (points + size / 2) * (px_per_mm, px_per_mm, 1)
+        u, v = np.clip(place[:, :2].astype(int), 0, (width - 1, height - 1)).T
+        ink = _INK + (_PAPER - _INK) / 255 * print_[v, u]
+        return np.repeat(np.where(place[:, 2] < 1e-3, ink, _BACK)[:, None], 3, axis=1)
 
-    @property
-    def outline(self) -> Floats:
-        """Its corners (4, 3), mm."""
-        height, width = np.array(self.print.shape) / self.px_per_mm
-        flat = np.array([[0, 0], [width, 0], [width, height], [0, height]]) + self.corner_mm
-        return np.column_stack([flat, np.zeros(4)])
+    middle = RigidTransform(np.eye(3), np.array([*corner_mm, 0.0]) + size / 2)
+    return Cuboid(middle, tuple(size), Material((_BACK,) * 3, texture=reflectance))
 
 
-class SheetPainter:
-    """Draws a sheet into the pictures of one camera."""
+@dataclass(frozen=True)
+class Held:
+    """A pose each second."""
 
-    def __init__(self, sheet: RenderedSheet, camera: Camera) -> None:
-        self._sheet, self._camera = sheet, camera
+    poses: Sequence[RigidTransform]  # world_from_board
 
-    def paint(self, before: Linear, world_from_sheet: RigidTransform) -> Linear:
-        """A picture's radiance (h, w, 3) with the sheet in it, before all else.
-
-        A sheet that reaches behind the camera is left out.
-        """
-        pose = self._camera.camera_from_world @ world_from_sheet
-        rows, columns = self._area(pose)
-        if rows.start >= rows.stop or columns.start >= columns.stop:
-            return before
-        light, covered = self._seen(pose, rows, columns)
-        out = before.copy()
-        kept = 1 - covered[..., None]
-        out[rows, columns] = out[rows, columns] * kept + light[..., None]
-        return out
-
-    @cached_property
-    def _ideal(self) -> Linear:
-        """Undistorted coordinates (h + 2, w + 2, 2), one pixel beyond the picture's border."""
-        return ideal_grid(self._camera.intrinsics).astype(np.float32)
-
-    def _area(self, pose: RigidTransform) -> tuple[slice, slice]:
-        """Rows and columns in which it can be seen."""
-        width, height = self._camera.intrinsics.size_wh
-        ends = self._sheet.outline
-        edges = np.concatenate([np.linspace(ends[k - 1], ends[k], 9) for k in range(4)])
-        if (pose.apply(edges)[:, 2] <= 0).any():
-            return slice(0), slice(0)
-        pixels = self._camera.intrinsics.project(pose.apply(edges))
-        low = np.clip(np.floor(pixels.min(axis=0) - _SIDE_PX), 0, (width, height)).astype(int)
-        high = np.clip(np.ceil(pixels.max(axis=0) + _SIDE_PX), 0, (width, height)).astype(int)
-        return slice(low[1], high[1]), slice(low[0], high[0])
-
-    def _seen(self, pose: RigidTransform, rows: slice, columns: slice) -> tuple[Linear, Linear]:
-        """The sheet's light over an area (h, w), and which share of each pixel it covers."""
-        at = self._ideal[rows.start : rows.stop + 2, columns.start : columns.stop + 2]
-        middle = at[1:-1, 1:-1]
-        by_column, by_row = (at[1:-1, 2:] - at[1:-1, :-2]) / 2, (at[2:, 1:-1] - at[:-2, 1:-1]) / 2
-        print_from_ideal = self._homography(pose)
-        light = np.zeros(middle.shape[:2], np.float32)
-        covered = np.zeros_like(light)
-        steps = (np.arange(_FINER, dtype=np.float32) + 0.5) / _FINER - np.float32(0.5)
-        for down in steps:
-            for across in steps:
-                rays = middle + across * by_column + down * by_row
-                level, inside = self._met(print_from_ideal, rays)
-                light += level * inside
-                covered += inside
-        rays_a_pixel = np.float32(_FINER**2)
-        return light / rays_a_pixel, covered / rays_a_pixel
-
-    def _homography(self, pose: RigidTransform) -> Floats:
-        """From rays (x, y, 1) to pixels of the print (3, 3); the last one is positive in front."""
-        plane = np.column_stack([pose.rotation[:, :2], pose.translation])
-        scale = self._sheet.px_per_mm
-        to_print = np.array([[scale, 0, -0.5], [0, scale, -0.5], [0, 0, 1.0]])
-        to_print[:2, 2] -= scale * np.array(self._sheet.corner_mm)
-        return np.asarray(to_print @ np.linalg.inv(plane), dtype=np.float64)
-
-    def _met(self, print_from_ideal: Floats, rays: Linear) -> tuple[Linear, Linear]:
-        """The radiance (h, w) that rays (h, w, 2) meet, and whether they meet the sheet."""
-        height, width = self._sheet.print.shape
-        x, y, w = cv2.split(cv2.transform(rays, print_from_ideal.astype(np.float32)))
-        u, v = (np.asarray(place / w, np.float32) for place in (x, y))
-        inside = (w > 0) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
-        if np.linalg.det(print_from_ideal) < 0:
-            return np.full_like(u, _BACK), inside.astype(np.float32)
-        ink = cv2.remap(self._sheet.print, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        level = np.float32(_INK) + np.float32((_PAPER - _INK) / 255) * ink.astype(np.float32)
-        return level, inside.astype(np.float32)
+    def at(self, times_s: ArrayLike) -> RigidTransform:
+        """world_from_board at times (n,)."""
+        some = [self.poses[round(time_s)] for time_s in np.asarray(times_s).tolist()]
+        places = np.array([one.translation for one in some])
+        return RigidTransform(np.array([one.rotation for one in some]), places)
 
 
 def held_poses(

@@ -30,6 +30,7 @@ _RATE_HZ = 10.0
 _HELD_S, _HELD_LOOKS = 1.2, 4.0
 """How long a board is held still, at least: as a person waits for a computer that looks seldom."""
 _BODY_TICKS = 80  # Pictures of the body's motion, there; it comes back the same way
+_RAYS = 16  # Through a pixel that an edge crosses: a board needs no more
 _PX_PER_MM = 8.0  # Of the printed board
 
 
@@ -154,22 +155,24 @@ def _write_board(folder: Path, board: str, poses: Sequence[RigidTransform], step
     """A session of a board at rest in some poses, two pictures of each, which differ by noise."""
     from measure.simulation import Renderer
     from measure.simulation.catalogue import webcam_scene
+    from measure.simulation.scene import Actor, Lighting
     from measure.simulation.sensor import develop, encode
-    from measure_studio.api.held_boards import RenderedSheet, SheetPainter
+    from measure_studio.api.held_boards import Held, printed_board
 
     target = api.shipped_targets()[board]
     printed, first = api.target_sheet(target), api.read_board(target).points[:, :2].min(axis=0)
     left, top = (first - printed.origin_mm).tolist()
-    sheet = RenderedSheet(_bitmap(printed), _PX_PER_MM, (left, top))
-    scene = replace(webcam_scene(), shown=(), attached=())
+    held = Actor((printed_board(_bitmap(printed), _PX_PER_MM, (left, top)),), Held(poses))
+    light_all_round = Lighting((), (1.0, 1.0, 1.0), below=1.0)
+    scene = replace(webcam_scene(), shown=(), attached=(), actors=(held,), lighting=light_all_round)
 
     def shoot(number: int) -> None:
         camera = scene.cameras[number]
         (folder / camera.name).mkdir(parents=True, exist_ok=True)
-        empty, painter = Renderer(scene, camera.name).radiance(0.0), SheetPainter(sheet, camera)
+        renderer = Renderer(scene, camera.name, _RAYS)
         for frame in range(2 * len(poses)):
             if frame % 2 == 0:
-                light = painter.paint(empty, poses[frame // 2])
+                light = renderer.radiance(frame / 2)
             noise = np.random.Generator(np.random.SFC64([number, frame]))
             data = encode(develop(light, scene.sensor, noise), scene.sensor)
             (folder / camera.name / f"{frame:06d}.jpg").write_bytes(data)
