@@ -22,16 +22,7 @@ from measure.api.detecting import (
     sampled_color,
     write_sampled_body,
 )
-from measure.api.folders import (
-    COLORS,
-    contents_of,
-    described,
-    events,
-    inside,
-    learnt_colors,
-    mark_event,
-    next_free,
-)
+from measure.api.folders import events, inside, mark_event
 from measure.api.lenses import FocalFrom, Lens
 from measure.api.many import Outcome, run_many
 from measure.api.marking import MARK_KINDS, TAG_FAMILIES, Mark, Marking, MarkKind, begin_marks
@@ -57,16 +48,16 @@ from measure.results.evaluation import evaluation_tables
 from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
 
 __all__ = [
-    "COLORS", "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "BodySearch",
+    "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "BodySearch",
     "Calibration", "CalibrationResult", "Camera", "Cause", "Corners", "Demo", "FocalFrom",
     "FoundBody", "Image", "Lens", "Mark", "MarkKind", "Marking", "Measurement",
     "MirroredBoardError", "Outcome", "Pipeline", "Profile", "RefineResult", "Registry", "RigWatch",
     "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet",
     "SyncedClock", "Verdict", "WaveState", "Workers", "begin_marks", "board_frame", "board_length",
-    "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose", "contents_of",
-    "demo", "described", "detect", "draw", "draw_target", "drawings", "evaluate",
-    "evaluation_tables", "events", "export", "find_body", "find_target", "inside", "learnt_colors",
-    "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "next_free",
+    "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose",
+    "demo", "detect", "draw", "draw_target", "drawings", "evaluate",
+    "evaluation_tables", "events", "export", "find_body", "find_target", "inside",
+    "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder",
     "output", "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
     "read_body", "read_calibration", "refine", "relative_measurements", "render_demo", "run",
     "run_in_stretches", "run_many", "sampled_color", "shipped_targets", "sync", "target_sheet",

@@ -25,6 +25,7 @@ from measure_studio.api.recording import (
     usb_notes,
 )
 from measure_studio.api.rendered_cameras import DEMO_BOARDS, demo_cameras
+from measure_studio.api.rig_folder import COLORS, contents_of, described, learnt_colors, next_free
 from measure_studio.capture import (
     CameraAddress,
     CameraCount,
@@ -36,10 +37,11 @@ from measure_studio.capture import (
 )
 
 __all__ = [
-    "CAMERA_PORT", "DEMO_BOARDS", "TYPED", "BallWatch", "CameraAddress", "CameraCount", "CameraNow",
-    "CaptureOptions", "CaptureRequest", "Control", "DeviceControls", "FoundCamera", "LiveEnd",
-    "LiveOptions", "LiveState", "Mode", "Pace", "PictureFacts", "PlayEnd", "PlayOptions", "Preview",
-    "RecordedSession", "WatchedCamera", "camera_line", "camera_names", "cameras", "capture_board",
-    "demo_cameras", "live", "parse_cameras", "parse_controls", "parse_size", "play", "play_cameras",
-    "record", "usb_notes", "web_viewer",
+    "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "TYPED", "BallWatch", "CameraAddress", "CameraCount",
+    "CameraNow", "CaptureOptions", "CaptureRequest", "Control", "DeviceControls", "FoundCamera",
+    "LiveEnd", "LiveOptions", "LiveState", "Mode", "Pace", "PictureFacts", "PlayEnd", "PlayOptions",
+    "Preview", "RecordedSession", "WatchedCamera", "camera_line", "camera_names", "cameras",
+    "capture_board", "contents_of", "demo_cameras", "described", "learnt_colors", "live",
+    "next_free", "parse_cameras", "parse_controls", "parse_size", "play", "play_cameras", "record",
+    "usb_notes", "web_viewer",
 ]  # fmt: skip

@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 
 from measure import api
-from measure.api.folders import next_free
 from measure.arrays import Bytes
 from measure.errors import ConfigError, MeasureError
 from measure.geometry import RigidTransform
 from measure.processes import Progress, quiet
 from measure.session import dump_toml, open_streams, read_calibration
 from measure_studio.api.playing_cameras import PictureReel, Screening
+from measure_studio.api.rig_folder import next_free
 from measure_studio.capture import serve_cameras
 
 DEMO_BOARDS = ("charuco_8x5_27", "chessboard_9x6_25")

@@ -115,7 +115,7 @@ class Bench:
         self.given, self.cameras = request, list[studio_api.CameraAddress]()
         self.preview = studio_api.Preview()
         self.job: Job | None = None
-        boards = api.contents_of(folder).boards if folder.is_dir() else ()
+        boards = studio_api.contents_of(folder).boards if folder.is_dir() else ()
         self.board = str(boards[0].relative_to(folder)) if boards else BOARD
         self.body: Path | None = None
         self.viewer = ""

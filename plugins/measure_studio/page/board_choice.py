@@ -8,6 +8,7 @@ from nicegui import ui
 
 from measure import api
 from measure.errors import MeasureError
+from measure_studio import api as studio_api
 from measure_studio.page import drawings
 from measure_studio.page.bench import BOARD, Bench
 from measure_studio.page.layout import act, link, tried
@@ -39,7 +40,8 @@ def choose_board(bench: Bench) -> None:
 
 def _names(bench: Bench) -> list[str]:
     """The boards there are: those of the folder, then the one that is best, then the others."""
-    own = [str(file.relative_to(bench.folder)) for file in api.contents_of(bench.folder).boards]
+    boards = studio_api.contents_of(bench.folder).boards
+    own = [str(file.relative_to(bench.folder)) for file in boards]
     shipped = sorted(filter(_is_board, api.shipped_targets()), key=lambda name: name != BOARD)
     return [*own, *shipped]
 

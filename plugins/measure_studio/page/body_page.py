@@ -10,6 +10,7 @@ from nicegui import events, ui
 
 from measure import api
 from measure.errors import ConfigError
+from measure_studio import api as studio_api
 from measure_studio.page import drawings
 from measure_studio.page.bench import Bench, Job
 from measure_studio.page.layout import (
@@ -48,7 +49,7 @@ class _Making:
     found: api.FoundBody | None = None
 
     def __post_init__(self) -> None:
-        learnt = api.learnt_colors(self.bench.folder / api.COLORS)
+        learnt = studio_api.learnt_colors(self.bench.folder / studio_api.COLORS)
         self.picked = {ball: [samples] for ball, samples in learnt.items()}
 
     @property
@@ -58,7 +59,7 @@ class _Making:
 
     def names(self, bodies: list[Path]) -> Path:
         """The file that the balls are looked for by."""
-        return self.bench.folder / api.COLORS if self.picked else like(bodies)
+        return self.bench.folder / studio_api.COLORS if self.picked else like(bodies)
 
     def pick(self, bodies: list[Path], camera: str, share: tuple[float, float]) -> str:
         """Learn a ball's colour where it was clicked, and look for all of them at once."""
@@ -85,7 +86,7 @@ class _Making:
         """Take away what was learnt of a ball: it has the colour of its file again."""
         self.picked.pop(ball, None)
         if not self.picked:
-            (self.bench.folder / api.COLORS).unlink(missing_ok=True)
+            (self.bench.folder / studio_api.COLORS).unlink(missing_ok=True)
         self.look(bodies)
 
     def look(self, bodies: list[Path]) -> None:
@@ -103,8 +104,8 @@ class _Making:
         bench, folder = self.bench, self.bench.folder
         if not calibrations:
             raise ConfigError("choose a calibration: step 2, Calibration, makes it")
-        session = folder / api.next_free(folder, "session")
-        out = folder / api.next_free(folder, "body", ".toml")
+        session = folder / studio_api.next_free(folder, "session")
+        out = folder / studio_api.next_free(folder, "body", ".toml")
         names = self.names(bodies)
 
         def work(job: Job) -> str:
@@ -158,7 +159,7 @@ def add(bench: Bench) -> None:
 
 def _settings(bench: Bench, making: _Making) -> ui.select:
     """How it is recorded, and which body it is like."""
-    there = api.contents_of(bench.folder)
+    there = studio_api.contents_of(bench.folder)
 
     def names() -> list[str]:
         return [*api.read_body(like(chosen(bench, body))).names]

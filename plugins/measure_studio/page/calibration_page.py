@@ -50,8 +50,8 @@ class _Wave:
 
     def take(self, body: Path | None) -> None:
         """Take pictures of the board until they are enough, and calibrate by them."""
-        bench = self.bench
-        cameras, out = bench.addresses(), bench.folder / api.next_free(bench.folder, "capture")
+        bench, cameras = self.bench, self.bench.addresses()
+        out = bench.folder / studio_api.next_free(bench.folder, "capture")
 
         def work(job: Job) -> str:
             self.capture, self.state, self.result = out, None, None
@@ -186,7 +186,7 @@ def _more(bench: Bench, wave: _Wave) -> ui.select:
     """What is seldom changed; gives the choice of the body that is to be measured."""
     more = details("More: the accuracy asked for, and pictures that are there already")
     with more, ui.row().classes("line"):
-        body = choice("Body to be measured", bench, api.contents_of(bench.folder).bodies)
+        body = choice("Body to be measured", bench, studio_api.contents_of(bench.folder).bodies)
         goal = ui.number("Error at the body that is small enough, mm", min=0.001, step=0.01)
         goal.bind_value(wave, "goal_mm").classes("field")
         by_newest = partial(_calibrate, bench, wave, body)

@@ -140,7 +140,7 @@ def _seldom(bench: Bench) -> None:
 
     with details("More: a body to look for, exposure and focus"):
         with ui.row().classes("line"):
-            bodies = api.contents_of(bench.folder).bodies
+            bodies = studio_api.contents_of(bench.folder).bodies
             body = choice("Body to look for", bench, bodies, newest=False)
             if bench.body is not None and bench.body in bodies:
                 body.value = str(bench.body.relative_to(bench.folder))

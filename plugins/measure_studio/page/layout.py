@@ -13,6 +13,7 @@ from nicegui import run, ui
 
 from measure import api
 from measure.errors import MeasureError
+from measure_studio import api as studio_api
 from measure_studio.page.bench import Bench
 from measure_studio.page.steps import STEPS, step_of
 from measure_studio.page.words import plain
@@ -184,7 +185,7 @@ def choice(
     label: str, bench: Bench, files: Sequence[Path], several: bool = False, newest: bool = True
 ) -> ui.select:
     """A choice among files of the folder, the newest at first; none of them is a choice, too."""
-    told = {str(f.relative_to(bench.folder)): api.described(f, bench.folder) for f in files}
+    told = {str(f.relative_to(bench.folder)): studio_api.described(f, bench.folder) for f in files}
     first = [*told][:1] if newest else []
     value = first if several else next(iter(first), None)
     made = ui.select(told, label=label, value=value, multiple=several, clearable=not several)

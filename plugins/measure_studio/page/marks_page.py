@@ -12,6 +12,7 @@ from nicegui import events, ui
 
 from measure import api
 from measure.errors import ConfigError, MeasureError
+from measure_studio import api as studio_api
 from measure_studio.page.bench import Bench
 from measure_studio.page.layout import (
     Hint,
@@ -56,7 +57,7 @@ class _MarksPage:
         elif not calibrations:
             raise ConfigError("choose a calibration, for its lenses: step 2, Calibration, makes it")
         else:
-            out = folder / api.next_free(folder, "marks")
+            out = folder / studio_api.next_free(folder, "marks")
             if self.source == _NOW:
                 self.bench.preview.write([one.name for one in self.bench.cameras], out)
                 source = out
@@ -169,7 +170,7 @@ def add(bench: Bench) -> None:
 
 def _head(bench: Bench, marks: _MarksPage, refresh: Callable[[], object]) -> None:
     """The pictures to mark, and the markers whose places are known."""
-    there = api.contents_of(bench.folder)
+    there = studio_api.contents_of(bench.folder)
     sources = {f.parent.name for f in bench.folder.glob("*/*.toml") if f.stem in _SOURCES}
     own = [*there.bodies, *there.boards, *sorted(bench.folder.glob("*.csv"))]
     targets = {str(file.relative_to(bench.folder)): file for file in own}
@@ -224,7 +225,7 @@ def _picture(marks: _MarksPage, marking: api.Marking) -> None:
 def _steps(bench: Bench, marks: _MarksPage, marking: api.Marking) -> None:
     with ui.row().classes("line"):
         ui.select([*api.TAG_FAMILIES], label="Tags").bind_value(marks, "family")
-        body = choice("Balls", bench, api.contents_of(bench.folder).bodies, newest=False)
+        body = choice("Balls", bench, studio_api.contents_of(bench.folder).bodies, newest=False)
         act("Find", "search", lambda: marks.find(marking, chosen(bench, body)))
         act("Remove", "delete", lambda: marks.remove(marking))
         act("Write marks", "save", lambda: marks.save(marking))

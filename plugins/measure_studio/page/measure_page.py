@@ -121,7 +121,7 @@ class _Live:
         bench.begin(f"measuring {run.name}", work, needs_cameras=True)
 
     def _next(self, stem: str) -> Path:
-        return self.bench.folder / api.next_free(self.bench.folder, stem)
+        return self.bench.folder / studio_api.next_free(self.bench.folder, stem)
 
     def _hear(self, state: studio_api.LiveState) -> None:
         self.state, self.heard_s, self.heard_at = state, time.monotonic(), datetime.now()
@@ -192,7 +192,7 @@ def add(bench: Bench) -> None:
 
 
 def _settings(bench: Bench, live: _Live) -> None:
-    there = api.contents_of(bench.folder)
+    there = studio_api.contents_of(bench.folder)
     with ui.row().classes("line"):
         begin = act("Measure", "straighten", lambda: live.measure(*given()), primary=True)
         act("Record", "fiber_manual_record", lambda: live.record(*given()))

@@ -81,7 +81,7 @@ class _World:
         if body is None:
             raise ConfigError("choose the body that lies at rest")
         bench, out = self.bench, self.bench.folder / CALIBRATION
-        cameras, run = bench.addresses(), bench.folder / api.next_free(bench.folder, "world")
+        cameras, run = bench.addresses(), bench.folder / studio_api.next_free(bench.folder, "world")
         times_s: list[float] = []
 
         def work(job: Job) -> str:
@@ -151,7 +151,7 @@ def _others(bench: Bench, world: _World) -> None:
     """Other ways to a world."""
     with details("Other ways: a body at rest, or markers at known places"):
         with ui.row().classes("line"):
-            body = choice("Body at rest", bench, api.contents_of(bench.folder).bodies)
+            body = choice("Body at rest", bench, studio_api.contents_of(bench.folder).bodies)
             act(
                 "The world is the body's frame",
                 "my_location",

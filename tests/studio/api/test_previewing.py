@@ -154,11 +154,11 @@ def test_files_are_known_by_what_they_hold(still, tmp_path):
         (tmp_path / "sub" / name).write_bytes((still / name).read_bytes())
     (tmp_path / "broken.toml").write_text("cameras = [")
     api.draw_target("chessboard_9x6_25", tmp_path / "board.pdf")
-    found = api.contents_of(tmp_path)
+    found = studio_api.contents_of(tmp_path)
     assert found.calibrations == (tmp_path / "sub" / "calibration.toml",)
     assert found.bodies == (tmp_path / "sub" / "body.toml",)
     assert found.boards == ()
-    assert api.next_free(tmp_path, "run") == "run-1"
+    assert studio_api.next_free(tmp_path, "run") == "run-1"
 
 
 def test_originals_come_before_the_copies_in_recordings(still, tmp_path):
@@ -173,7 +173,7 @@ def test_originals_come_before_the_copies_in_recordings(still, tmp_path):
     ):
         (tmp_path / name).write_bytes((still / source).read_bytes())
         os.utime(tmp_path / name, (1e9, 1e9))
-    found = api.contents_of(tmp_path)
+    found = studio_api.contents_of(tmp_path)
     names = [str(file.relative_to(tmp_path)) for file in found.calibrations + found.bodies]
     assert names == [
         "calibration.toml",
@@ -181,7 +181,7 @@ def test_originals_come_before_the_copies_in_recordings(still, tmp_path):
         "body-1.toml",
         "session-2/body.toml",
     ]
-    said = [api.described(file, tmp_path) for file in found.calibrations]
+    said = [studio_api.described(file, tmp_path) for file in found.calibrations]
     assert said[0].startswith("calibration.toml · 09 Sep")
     assert said[1].endswith(" · a copy")
 
@@ -189,7 +189,7 @@ def test_originals_come_before_the_copies_in_recordings(still, tmp_path):
 def test_colours_that_were_learnt_are_read_again(still, tmp_path, rng):
     given = rng.integers(0, 255, (24, 3), dtype=np.uint8)
     api.write_body(tmp_path / "colours.toml", api.read_body(still / "body.toml"), {"red": given})
-    (name,) = found = api.learnt_colors(tmp_path / "colours.toml")
+    (name,) = found = studio_api.learnt_colors(tmp_path / "colours.toml")
     assert name == "red"
     assert np.array_equal(found[name], given)
-    assert api.learnt_colors(tmp_path / "none.toml") == {}
+    assert studio_api.learnt_colors(tmp_path / "none.toml") == {}
