@@ -1,9 +1,11 @@
 """Whether the first line of `measure check` names the true cause of a bad recording.
 
     python -m benchmarks.causes [--only NAME] [--source RECORDING ...] [--strength NAME]
+    python -m benchmarks.causes --drawn SEED [--only NAME]
 
 Faults are made from recordings that are right: their calibration, body, stamps or pictures are
-changed, each fault at up to three strengths. Printed for each is the first cause that is named; at
+changed, each fault at up to three strengths; or one of each kind, of drawn amount, of scenes and
+rigs that nothing was tuned on. Printed for each is the first cause that is named; at
 last how often it is the true one, a wrong one, or none, and how often a right recording is blamed.
 """
 
@@ -18,12 +20,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from benchmarks.command import run_command
+from benchmarks.drawn_faults import HZ, SETS, drawn, scenes
 from benchmarks.recordings import BESIDE
 from benchmarks.rig_faults import CLEAR, GROSS, SLIGHT, Fault, faults, healthy
 from measure import api
 from measure.checking import Level
 from measure.host import Registry
+from tests.simulated.sessions import rendered
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,19 @@ def _counts(given: list[Answer], strength: str) -> str:
     return " / ".join(str(own.count(word)) for word in ("right", "wrong", "silent")) if own else ""
 
 
+def _made(options: argparse.Namespace) -> Iterator[tuple[Path, list[Fault]]]:
+    chosen = list(healthy()) if options.healthy else [*faults(), *healthy()]
+    if options.strength:
+        chosen = [f for f in chosen if f.strength == options.strength]
+    return ((source, chosen) for source in options.source)
+
+
+def _drawn(seed: int) -> Iterator[tuple[Path, list[Fault]]]:
+    for scene in scenes():
+        source = rendered(scene, np.arange(SETS) / HZ)
+        yield source, list(drawn(source, seed))
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="benchmarks.causes", description=__doc__)
@@ -98,14 +117,11 @@ def main() -> None:
     parser.add_argument("--source", type=Path, nargs="+", default=[BESIDE / "still"])
     parser.add_argument("--healthy", action="store_true", help="right recordings alone")
     parser.add_argument("--strength", choices=(SLIGHT, CLEAR, GROSS), help="faults of it alone")
+    parser.add_argument("--drawn", type=int, metavar="SEED", help="faults drawn with this")
     options = parser.parse_args()
-    chosen = list(healthy()) if options.healthy else [*faults(), *healthy()]
-    some = [f for f in chosen if re.search(options.only, f.name)]
-    if options.strength:
-        some = [f for f in some if f.strength == options.strength]
     given = []
-    for source in options.source:
-        for answer in answers(source, some):
+    for source, some in _drawn(options.drawn) if options.drawn else _made(options):
+        for answer in answers(source, [f for f in some if re.search(options.only, f.name)]):
             given.append(answer)
             where = f"{answer.recording} {answer.fault.name} ({answer.fault.strength})"
             said = ", ".join(answer.words[:3]) + (f" of {answer.of}" if answer.of else "")

@@ -140,7 +140,8 @@ def warped(image: Bytes, scale: float = 1.0, right_px: float = 0.0, down_px: flo
     return np.asarray(cv2.warpAffine(image, by, (width, height), flags=cv2.INTER_CUBIC), np.uint8)
 
 
-def _woven(images: list[Bytes], place: int) -> Bytes:
+def woven(images: list[Bytes], place: int) -> Bytes:
+    """Every other line is of the next picture."""
     out = images[place].copy()
     out[1::2] = images[min(place + 1, len(images) - 1)][1::2]
     return out
@@ -272,8 +273,8 @@ def faults() -> Iterator[Fault]:
         "red and blue of one", GROSS, ("exchanged-channels",), "cam2", pictures(rgb, "cam2")
     )
     yield Fault("same pictures", GROSS, ("same-pictures",), "cam1", _same_pictures)
-    yield Fault("interlaced", CLEAR, ("interlaced",), "", pictures(_woven))
-    yield Fault("interlaced one", CLEAR, ("interlaced",), "cam1", pictures(_woven, "cam1"))
+    yield Fault("interlaced", CLEAR, ("interlaced",), "", pictures(woven))
+    yield Fault("interlaced one", CLEAR, ("interlaced",), "cam1", pictures(woven, "cam1"))
     bursts = stamps("cam1", lambda n, t: t + (5 - n % 6) / 30 + 0.0003 * (n % 6))
     yield Fault("bursts of six", CLEAR, ("clock",), "cam1", bursts)
     rate = stamps("cam1", lambda _, t: 1.2 * t)

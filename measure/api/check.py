@@ -151,6 +151,8 @@ def _together(
 ) -> list[Cause]:
     """Causes from all sources, the most certain first; what another explains is left out."""
     known = [c for c in diagnosis.causes if c.cause is not Word.UNKNOWN and c.explains > _MOST]
+    if file := [c for c in shape if c.cause in _FILE]:
+        return beside(pictures, file)  # poses rest on those balls alone that fit the file
     blamed = {cause.of for cause in known}
     elsewhere = [c for c in disagreeing_causes(searched) if not blamed & {ALL, c.of}]
     rest = [*elsewhere, *diagnosis.causes]
@@ -308,7 +310,7 @@ class _Looking:
             *arrangement_causes(every, searched, session.body, session.cameras),
             *woven_causes(woven.cameras, len(session.cameras)),
         ]
-        causes += channel_causes(session, detectors, searched, self._chosen) * (not causes)
+        causes += channel_causes(session, detectors, searched, every, self._chosen) * (not causes)
         motion, diagnosis = MotionCheck(), Diagnosis()
         if not any(cause.cause in _FIRST_OF_ALL for cause in causes):
             measured = self._measured(searched, duplicates)

@@ -14,21 +14,23 @@ from measure.model import Detection, Expectation, Image
 from measure.session import Session
 
 _TRIED = 4  # Frame sets
-_SEES_FEW, _SEES = 0.45, 0.6
-"""Shares of the balls that a camera finds of a body whose pose is known, with the channels wrong,
-and with them put back."""
+_SEES_FEW, _SEES = 0.55, 0.6
+"""Shares of the balls that a camera finds of a body whose pose is known, with the channels wrong
+(blue and orange, of four, are then each other), and with them put back."""
 
 
 def channel_causes(
     session: Session,
     detectors: Mapping[str, Detector],
     searched: Sequence[SearchSample],
+    found: Sequence[Mapping[str, Sequence[Detection]]],
     chosen: Sequence[int],
 ) -> list[Cause]:
-    """Cameras that find the balls only once red and blue are exchanged.
+    """Cameras that find the balls, of colours as pure, only once red and blue are exchanged.
 
     Args:
         searched: what was seen in the frame sets `chosen`.
+        found: all that looked like a ball there.
     """
     posed = [k for k, sample in enumerate(searched) if sample.world_from_body is not None]
     names, balls = list(session.streams), len(session.body.balls)
@@ -40,13 +42,10 @@ def channel_causes(
     tried = [some[k] for k in np.unique(np.linspace(0, len(some) - 1, _TRIED).round().astype(int))]
     if not suspects or not some:
         return []
-    put_back = {n: _PutBack(d) if n in suspects else d for n, d in detectors.items()}
-    shares = []
-    wanted = [chosen[k] for k in tried]
-    for frame_set, (again,) in search_frame_sets(session, [put_back], wanted):
-        sample = search_sample(again, session.body, session.cameras, frame_set.time_s)
-        shares.append([_agreeing(sample, name) / balls for name in suspects])
-    right = [n for n, share in zip(suspects, np.mean(shares, axis=0), strict=True) if share > _SEES]
+    before = {chosen[k]: found[k] for k in tried}
+    right = _exchanged(session, detectors, suspects, before)
+    if right and len(suspects) < len(names):  # of all, some may see enough by chance
+        right = max(right, _exchanged(session, detectors, names, before), key=len)
     if not right:
         return []
     of = ALL if len(right) == len(names) else ", ".join(right)
@@ -58,8 +57,40 @@ def channel_causes(
     return [Cause(Word.EXCHANGED_CHANNELS, of, text, cure, Level.WRONG)]
 
 
+def _exchanged(
+    session: Session,
+    detectors: Mapping[str, Detector],
+    suspects: Sequence[str],
+    before: Mapping[int, Mapping[str, Sequence[Detection]]],
+) -> list[str]:
+    """Of suspects, those that find the balls with the channels put back.
+
+    Args:
+        before: what all found in some frame sets without.
+    """
+    put_back = {n: _PutBack(d) if n in suspects else d for n, d in detectors.items()}
+    shares, purer = [], []
+    again = search_frame_sets(session, [put_back], list(before))
+    for seen, (frame_set, (now,)) in zip(before.values(), again, strict=True):
+        sample = search_sample(now, session.body, session.cameras, frame_set.time_s)
+        shares.append([_agreeing(sample, name) / len(session.body.balls) for name in suspects])
+        purer.append([_purity(now[name]) - _purity(seen[name]) for name in suspects])
+    if np.mean(purer) < 0:  # two colours are exchanged in the body file
+        return []
+    share = dict(zip(suspects, np.mean(shares, axis=0), strict=True))
+    return [name for name in suspects if share[name] > _SEES]
+
+
 def _agreeing(sample: SearchSample, camera: str) -> int:
     return sum(detection.camera == camera for detection in sample.agreeing)
+
+
+def _purity(seen: Sequence[Detection]) -> float:
+    """How well the best candidates of all balls match their colours, added up."""
+    best: dict[str, float] = {}
+    for one in seen:
+        best[one.ball] = max(best.get(one.ball, 0.0), float(np.nan_to_num(one.color_match)))
+    return sum(best.values())
 
 
 class _PutBack(Detector):

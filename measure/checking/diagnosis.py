@@ -24,6 +24,9 @@ _EXPLAINED = 0.5
 _UNEXPLAINED = {TRACKED_PX: 1.0, SEARCHED_PX: 2.0}
 """Mean square of residuals, in their stated variances, that no healthy recording leaves, by how
 its balls were found: 0.1 to 0.4, and up to 0.6."""
+_WELL_EXPLAINED = 0.4
+"""And of balls that were followed, below which their causes need no second look: 0.1 to 0.25 where
+nothing else is off."""
 _CLOCK_WRONG_S, _CLOCK_NAMED_S = 0.002, 0.0005
 _RADIUS_WRONG = 0.05  # Share of a radius that no outline's bias is: less is measured with
 
@@ -44,9 +47,19 @@ class Diagnosis:
         return 0 < self.misfit < _UNEXPLAINED[TRACKED_PX]
 
     @property
+    def wrong(self) -> bool:
+        """Whether the likeliest cause is beyond doubt."""
+        return any(cause.level is Level.WRONG for cause in self.causes[:1])
+
+    @property
     def unexplained(self) -> bool:
         """Whether more is left than any healthy recording leaves."""
         return self.left > _UNEXPLAINED[SEARCHED_PX]
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether balls that were followed show more than its causes, of which none is certain."""
+        return bool(self.causes) and not self.wrong and self.left > _WELL_EXPLAINED
 
 
 def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
@@ -61,11 +74,6 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
     if fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
         causes.insert(0, _unknown(worst_camera(evidence, fit), causes))
     return Diagnosis(tuple(causes), misfit, left)
-
-
-_WELL_EXPLAINED = 0.4
-"""Mean square of residuals of balls that were followed, below which their causes need no second
-look: 0.1 to 0.25 where nothing else is off."""
 
 
 def diagnose_recording(
@@ -83,11 +91,15 @@ def diagnose_recording(
         return followed
     if followed.unexplained:  # In light of another colour a search finds other things than balls
         alone = evidence_of((), (), measured, body, cameras, gaps_s)
-        if alone is not None and not alone.hardly_seen() and diagnose(alone).fits:
+        if (
+            alone is not None
+            and not alone.hardly_seen()
+            and diagnose(alone).misfit < _WELL_EXPLAINED
+        ):
             return diagnose(alone, squares)
     # What is followed lies near where it was expected: whole pictures tell more.
     whole = diagnose(evidence_of(*searched, (), body, cameras, gaps_s), squares)
-    return whole if whole.causes else followed
+    return whole if whole.wrong or (whole.causes and not followed.wrong) else followed
 
 
 def _unknown(camera: str | None, others: Sequence[Cause]) -> Cause:
@@ -270,11 +282,15 @@ def _moved(part: _Search) -> _Told:
             f"({shift_px:.1f} px)"
         )
         return turn, sd, "deg", text, remedy
-    away = float(np.linalg.norm(part.values[:3]))
-    text = (
-        f"{part.who} points {turn:.2f} +- {sd:.2f} deg beside where its calibration says "
-        f"({shift_px:.1f} px), or stands some {away:.1f} mm from there"
-    )
+    if abs(part.values[5]) > np.radians(turn):
+        turn, sd = np.degrees([part.values[5], np.sqrt(part.fit.last()[1][5, 5])]).tolist()
+        text = f"{part.who} is rolled by {turn:+.2f} +- {sd:.2f} deg about where it looks"
+    else:
+        text = (
+            f"{part.who} points {turn:.2f} +- {sd:.2f} deg beside where its calibration says "
+            f"({shift_px:.1f} px), or stands some {np.linalg.norm(part.values[:3]):.1f} mm from "
+            "there"
+        )
     return turn, sd, "deg", text, remedy
 
 

@@ -53,6 +53,7 @@ class Fit:
     values: Floats  # (q + 1,) their parameters, one after the other, and the outlines' edge in px
     poses: RigidTransform
     cost: float  # the robust sum of squares
+    left: float  # its mean, in stated variances, of which one view counts up to so much
     covariance: Floats  # (q, q) by noise, constant biases, and between parts of the recording
     freedom: int
 
@@ -60,11 +61,6 @@ class Fit:
         """Parameters (r,) of the last hypothesis, and their covariance."""
         count = self.hypotheses[-1].basis.shape[1]
         return self.values[-count - 1 : -1], self.covariance[-count:, -count:]
-
-    @property
-    def left(self) -> float:
-        """The mean square of the residuals in their stated variances."""
-        return self.cost / max(self.freedom, 1)
 
     @property
     def plausible(self) -> bool:
@@ -267,6 +263,7 @@ class _Normal(NamedTuple):
     steps: Floats  # (k, 6) of the poses alone
     adapts: Floats  # (k, 6, q) and how these follow the parameters
     cost: float
+    capped: float  # the same, where what is not the body at all counts no more than a view can err
 
     @classmethod
     def of(cls, evidence: Evidence, linear: Linear, by_others: Floats) -> _Normal:
@@ -289,7 +286,8 @@ class _Normal(NamedTuple):
         np.add.at(right, evidence.instants, np.einsum("niq,ni->nq", own, residuals))
         steps = np.einsum("kij,kj->ki", inverse, h)
         cost = float(np.sum(inside * (2 * length - inside)))
-        return cls(normal, right, own, steps, adapts, cost)
+        capped = float(np.sum(inside * (2 * np.minimum(length, _WORST_SIGMAS) - inside)))
+        return cls(normal, right, own, steps, adapts, cost, capped)
 
 
 def _inverses(matrices: Floats) -> Floats:
@@ -360,7 +358,8 @@ def fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = N
     freedom = 3 * len(evidence) - 6 * len(evidence.times_s) - count
     noise = max(1.0, cost / max(freedom, 1))
     covariance = _covariance(evidence, parts, normal, noise)
-    return Fit(tuple(some), values, poses, cost, covariance[:-1, :-1], freedom)
+    left = parts.capped / max(freedom, 1)
+    return Fit(tuple(some), values, poses, cost, left, covariance[:-1, :-1], freedom)
 
 
 def _covariance(evidence: Evidence, parts: _Normal, normal: Floats, noise: float) -> Floats:

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from measure.arrays import Floats
 from measure.checking.body import Compared, layout_causes, size_causes, twin_findings
-from measure.checking.causes import Cause, Word, beside
+from measure.checking.causes import ALL, Cause, Word, beside
 from measure.checking.diagnosis import diagnose
 from measure.checking.evidence import Evidence, Sighting
 from measure.checking.finding import Level
@@ -116,12 +116,16 @@ def rig_notes(
     enough = len(sightings) >= MIN_FRAME_SETS
     gaps_s = gaps_alone({camera.name: _stamps(detections, camera.name) for camera in cameras})
     evidence = Evidence.of(sightings, body, cameras, gaps_s=gaps_s) if enough else None
-    causes = [_told(cause, evidence) for cause in diagnose(evidence).causes if evidence]
+    diagnosis = diagnose(evidence)
+    causes = [_told(cause, evidence) for cause in diagnosis.causes if evidence]
+    causes = [] if diagnosis.doubtful else causes
     reasons = filter(None, pc.unique(poses["reason"]).to_pylist())
     woven = woven_causes(woven_cameras(list(reasons)), len(cameras))
     told = () if causes or woven else contradictions(body, distances)
     if not causes and not told:
         causes = size_causes(body, outline_growth(seen, body, cameras))
+    if diagnosis.doubtful and not causes:
+        causes = [_unclear(Level.WEAK, ALL, "the balls are not quite where they should be")]
     causes = [
         cause
         for cause in beside(woven, causes)
@@ -144,8 +148,12 @@ def _told(cause: Cause, evidence: Evidence) -> Cause:
     if cause.of not in evidence.hardly_seen():
         return cause
     text = f"{cause.of} sees the balls elsewhere than the others do, or not at all"
+    return _unclear(Level.WRONG, cause.of, text)
+
+
+def _unclear(level: Level, of: str, text: str) -> Cause:
     remedy = "`measure check` searches whole pictures, and tells why"
-    return Cause(Word.UNKNOWN, cause.of, text, remedy, Level.WRONG, explains=0.0)
+    return Cause(Word.UNKNOWN, of, text, remedy, level, explains=0.0)
 
 
 def _sightings(

@@ -34,8 +34,12 @@ def diagnosed(
     gaps=None,
     seed=0,
     search=search_sample,
+    stray=(),
 ):
-    """`real(k)` says where cameras truly stand; `late(k)` how late their stamps are, in s."""
+    """`real(k)` says where cameras truly stand; `late(k)` how late their stamps are, in s.
+
+    In frame sets that are `stray` one ball is seen on something else.
+    """
     cameras = list((stated or CAMERAS).values())
     found, samples = [], []
     for k in range(COUNT):
@@ -43,6 +47,8 @@ def diagnosed(
         seen = see(real(k), RAVEN, path, 0.1, rng, k / RATE + np.zeros(4))
         stamps = dict(zip(CAMERAS, k / RATE + late(k), strict=True))
         seen = [replace(d, time_s=stamps[d.camera]) for d in seen]
+        if k in stray:
+            seen[-1] = replace(seen[-1], center_px=seen[-1].center_px + [400.0, 90.0])
         names = [camera.name for camera in cameras]
         found.append({name: [d for d in seen if d.camera == name] for name in names})
         time_s = float(np.median([stamps[name] for name in names]))
@@ -90,6 +96,20 @@ def test_a_knocked_camera_is_named_with_amount_and_time(name):
     assert abs(cause.estimate - np.degrees(0.005)) < 4 * cause.sd
     assert "0.27 s" in cause.text
     assert "measure up to there" in cause.remedy
+
+
+def test_what_is_no_ball_hides_no_cause():
+    knocked, stray = turned("cam1", [0.004, -0.003, 0]), (3, 9)
+    found = diagnosed(real=lambda k: knocked if k >= 12 else CAMERAS, stray=stray)
+    assert (first(found).cause, first(found).of) == (Word.MOVED_AT, "cam1")
+    assert not diagnosed(stray=stray).causes
+
+
+def test_a_rolled_camera_is_not_said_to_point_elsewhere():
+    cause = first(diagnosed(real=lambda k: turned("cam1", [0, 0, 0.03])))
+    assert (cause.cause, cause.of) == (Word.MOVED, "cam1")
+    assert cause.estimate == pytest.approx(np.degrees(0.03), abs=max(4 * cause.sd, 0.1))
+    assert "is rolled by +1.7" in cause.text
 
 
 def test_a_camera_wrong_from_the_start_is_named():
