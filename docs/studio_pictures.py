@@ -93,7 +93,7 @@ def _make_the_body(page: Chromium, scratch: Path, folder: Path | None) -> None:
         marks.open_pictures(page)
         marks.mark_the_dots(page, true)
         _take(page, "marks", folder)
-        new.serve(cameras, new.ball_pictures(scratch / "balls"))
+        new.serve(cameras, new.ball_pictures())
         go(page, address + "body")
         new.make_the_body(page, new.Waits())
         _take(page, "body", folder)

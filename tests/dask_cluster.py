@@ -16,40 +16,11 @@ class Cluster:
 
     def __init__(self, folder: Path) -> None:
         file = folder / "scheduler.json"
-        common = ["--scheduler-file", str(file), "--no-dashboard"]
-        self.scheduler = _start(
-            [
-                sys.executable,
-                "-m",
-                "distributed.cli.dask_scheduler",
-                *common,
-                "--port",
-                "0",
-                "--host",
-                "127.0.0.1",
-            ],
-            folder / "scheduler.log",
-        )
+        common = ["--scheduler-file", str(file), "--no-dashboard", "--host", "127.0.0.1"]
+        self.scheduler = _start("scheduler", *common, "--port", "0", log=folder / "scheduler.log")
         wait_for(file.exists, self.scheduler)
-        self.workers = [
-            _start(
-                [
-                    sys.executable,
-                    "-m",
-                    "distributed.cli.dask_worker",
-                    *common,
-                    "--nthreads",
-                    "1",
-                    "--no-nanny",
-                    "--local-directory",
-                    str(folder),
-                    "--host",
-                    "127.0.0.1",
-                ],
-                folder / f"worker{k}.log",
-            )
-            for k in range(2)
-        ]
+        common += ["--nthreads", "1", "--no-nanny", "--local-directory", str(folder)]
+        self.workers = [_start("worker", *common, log=folder / f"worker{k}.log") for k in range(2)]
         self.address = json.loads(file.read_text())["address"]
 
     def __enter__(self) -> Self:
@@ -65,7 +36,8 @@ class Cluster:
             process.wait()
 
 
-def _start(command: list[str], log: Path) -> subprocess.Popen:
+def _start(part: str, *words: str, log: Path) -> subprocess.Popen:
+    command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *words]
     with log.open("wb") as out:
         return subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -15,12 +16,11 @@ from measure.measuring import Status
 from measure.model import Ball, BallColor, Body
 from measure.results import read_run, read_runs
 from measure.session import read_trajectory, write_body
-from measure.simulation import Still, write_session
+from measure.simulation import Still
 from measure.simulation.catalogue import stems, webcam_scene
-from measure.simulation.renderer import Renderer
 from measure.simulation.scene import Actor, ball_shapes
-from measure.simulation.sensor import encode
 from tests.simulated.mirroring import mirrored
+from tests.simulated.sessions import rendered
 
 FRAMES, GONE = 8, 2
 """In the last frame sets the reference is out of view."""
@@ -38,7 +38,7 @@ def body(name, places):
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     """Both at rest, before black cloth."""
-    folder = tmp_path_factory.mktemp("two")
+    folder = tmp_path_factory.mktemp("two") / "session"
     tool, base = body("tool", TOOL), body("base", BASE)
     scene = mirrored(webcam_scene())
     scene = replace(
@@ -49,13 +49,12 @@ def session(tmp_path_factory):
         actors=(Actor((*ball_shapes(base, scene.finish), *stems(base)), Still(BASE_PLACE)),),
     )
     times = np.arange(FRAMES) / 30
-    write_session(scene, times, folder)
-    alone = replace(scene, actors=())
+    shutil.copytree(rendered(scene, times), folder)
+    alone = rendered(replace(scene, name="alone", actors=()), times[-GONE:])
     for camera in scene.cameras:
-        renderer = Renderer(alone, camera.name)
-        for k in range(FRAMES - GONE, FRAMES):
-            picture = encode(renderer.picture(float(times[k]), k), scene.sensor)
-            (folder / camera.name / f"{k:06d}.jpg").write_bytes(picture)
+        for k in range(GONE):
+            picture = f"{camera.name}/{FRAMES - GONE + k:06d}.jpg"
+            shutil.copy(alone / camera.name / f"{k:06d}.jpg", folder / picture)
     for one in (tool, base):
         write_body(folder / f"{one.name}.toml", one)
     (folder / "body.toml").unlink()
@@ -134,16 +133,9 @@ def test_one_of_them_alone_and_a_run_that_goes_on(session, run, tmp_path, capsys
     before = (run / "poses.parquet").read_bytes(), (run / "relative.parquet").read_bytes()
     assert main(["run", str(session), "--out", str(run), "--resume"]) == 0
     assert before == ((run / "poses.parquet").read_bytes(), (run / "relative.parquet").read_bytes())
-    twins = [
-        "run",
-        str(session),
-        "--out",
-        str(tmp_path / "x"),
-        "--body",
-        str(session / "tool.toml"),
-    ]
+    twins = ["run", str(session), "--out", str(tmp_path / "x"), "--body"]
     again = tmp_path / "again.toml"
     again.write_text((session / "tool.toml").read_text().replace('"tool"', '"again"'))
-    assert main([*twins, "--body", str(again)]) == 2
+    assert main([*twins, str(session / "tool.toml"), "--body", str(again)]) == 2
     assert "'tool' and 'again' cannot be told apart" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()

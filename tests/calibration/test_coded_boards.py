@@ -74,7 +74,6 @@ GRID = AprilGrid((5, 4), 40.0, 0.3)
 @pytest.mark.parametrize(("border", "turn"), [(2, 2), (2, 0), (1, 1)])
 def test_tags_are_numbered_however_they_were_printed(border: int, turn: int) -> None:
     found = GRID.find(_grid(GRID, border, turn))
-    assert found is not None
     assert len(found.ids) == len(GRID.points)
     np.testing.assert_allclose(found.pixels, GRID.points[found.ids, :2] + 23.5, atol=0.3)
 

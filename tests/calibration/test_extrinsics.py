@@ -117,7 +117,6 @@ def test_three_marks_say_nothing_about_their_own_error() -> None:
     fit = fit_rig_by_paper(noisy.start, replace(noisy.observations, marks=marks))
     assert fit.mark_sd_px == START_MARK_SD_PX
     for camera in fit.cameras:
-        assert camera.pose_covariance is not None
         assert np.sqrt(np.trace(camera.pose_covariance[:3, :3])) > 0.1
 
 

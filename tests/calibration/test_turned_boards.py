@@ -120,7 +120,6 @@ def test_pictures_that_look_the_same_have_as_many_turns(corners, ways: int) -> N
     origins = set()
     for quarter, turned in enumerate(turns):
         found = board.find(np.ascontiguousarray(turned))
-        assert found is not None
         height, width = turned.shape
         there = np.array([[[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]]])
         corner = int(np.argmin(np.linalg.norm(there[0] - found.pixels[0], axis=1)))

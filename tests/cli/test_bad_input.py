@@ -58,13 +58,6 @@ def test_an_unknown_plugin_and_its_near_names(recording: Recording, capsys) -> N
     assert "no detector is called 'huogh'; did you mean 'hough'?" in line
 
 
-def test_two_balls_of_one_colour_in_the_paper_profile(recording: Recording, capsys) -> None:
-    recording.replace("body.toml", 'color = "red"', 'color = "green"')
-    line = complaint(capsys, *run_words(recording))
-    assert "green" in line
-    assert "colour" in line
-
-
 def test_a_truncated_picture_on_the_way_keeps_what_was_measured(
     recording: Recording, capsys
 ) -> None:

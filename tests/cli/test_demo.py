@@ -28,7 +28,6 @@ def test_demo_measures_what_it_rendered(tmp_path, capsys, monkeypatch) -> None:
     for name in ("poses.csv", "run.rrd", "summary.json"):
         assert (out / "run" / name).stat().st_size > 0
     picture = cv2.imread(str(out / "demo.png"))
-    assert picture is not None
     assert picture.shape == (720, 1280, 3)
 
     # Again, with another profile, over the first; a table this time.

@@ -183,7 +183,6 @@ def test_scratch_of_killed_processes_is_removed_and_that_of_living_ones_is_not(
     users = [subprocess.Popen([*command, tmp_path / name], stdout=subprocess.PIPE) for name in "ab"]
     try:
         for user in users:
-            assert user.stdout is not None
             assert user.stdout.readline() == b"there\n"
         mine = tmp_path / ".new-abcdefgh"  # of a user's own
         mine.mkdir()

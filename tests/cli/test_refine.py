@@ -14,12 +14,12 @@ from measure.cli import main
 from measure.geometry import RigidTransform, align_points
 from measure.model import Camera
 from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
-from measure.simulation import write_session
 from tests.api.test_clocks import halved
 from tests.checking.test_clocks import CAMERAS, moving, recorded, still
 from tests.scenes import RAVEN
 from tests.session.conftest import jpeg, write_recording
 from tests.simulated.catalogue import scene_catalogue
+from tests.simulated.sessions import rendered
 
 _SETS = 24
 
@@ -150,21 +150,15 @@ def true_cameras() -> tuple[Camera, ...]:
     return tuple(halved(camera) for camera in scene_catalogue()["still"].cameras)
 
 
-@pytest.fixture(scope="module")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A moving body before cameras that are not quite where the file says."""
-    true = true_cameras()
-    scene = replace(scene_catalogue()["still"], cameras=true)
-    folder = tmp_path_factory.mktemp("moving") / "session"
-    scene = replace(scene, stated_cameras=slipped(true, 0.5, 0.1))
-    return write_session(scene, np.arange(_SETS) * 0.1, folder)
-
-
 @pytest.mark.slow
-def test_pictures_of_a_moving_body_bring_the_cameras_together(rendered, tmp_path) -> None:
+def test_pictures_of_a_moving_body_bring_the_cameras_together(tmp_path) -> None:
+    """Before cameras that are not quite where the file says."""
     out, true = tmp_path / "refined.toml", true_cameras()
-    assert main(["refine", str(rendered), "-o", str(out)]) == 0
-    first, found = (read_calibration(f).cameras for f in (rendered / "calibration.toml", out))
+    scene = replace(scene_catalogue()["still"], cameras=true)
+    scene = replace(scene, stated_cameras=slipped(true, 0.5, 0.1))
+    session = rendered(scene, np.arange(_SETS) * 0.1)
+    assert main(["refine", str(session), "-o", str(out)]) == 0
+    first, found = (read_calibration(f).cameras for f in (session / "calibration.toml", out))
     at = scene_catalogue()["still"].trajectory.at(np.arange(_SETS) * 0.1)
     before, after = (
         relative_error_mm(c, true, [at[i] for i in range(_SETS)]) for c in (first, found)

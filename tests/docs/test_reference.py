@@ -39,8 +39,6 @@ def generator() -> Iterator[ModuleType]:
 
 def _load() -> ModuleType:
     spec = importlib.util.spec_from_file_location("regenerate", ROOT / "docs" / "regenerate.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -47,7 +47,6 @@ def test_a_calibrations_uncertainty_is_propagated_by_the_cameras_own_jacobians()
         both = np.concatenate([by_pose, by_lens], axis=2)[0]
         np.testing.assert_allclose(views.by_camera(TARGET)[i], both, atol=1e-9)
         joint = camera.covariance
-        assert joint is not None
         assert np.any(joint[:6, 6:])
         np.testing.assert_allclose(calibration_noise(views.rig, TARGET)[i], propagate(both, joint))
 

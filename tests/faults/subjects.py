@@ -33,7 +33,7 @@ from tests.bags import Bag
 from tests.faults import mutating
 from tests.faults.mutating import BINARY, TEXT, Mutation
 from tests.learning.robots.test_logs import RAVEN_STATE, _write_counted
-from tests.results.conftest import CAMERAS, PERIOD_S, measurement, open_writer, write_truth
+from tests.results.conftest import CAMERAS, PERIOD_S, measurement, write_truth, written
 from tests.session.conftest import write_recording
 from tests.simulated.capture import CaptureScene, write_capture
 from tests.simulated.catalogue import webcam_scene
@@ -219,10 +219,7 @@ def write_seeds(
     _write_other_sessions(folder)
     done(_RUN.replace("SESSION", "still").replace("/new", "/journal"), folder)
     _reopen(folder / "journal")
-    with open_writer(folder / "run") as writer:
-        for k in range(SETS):
-            writer.append(measurement(k, lost=k == 2))
-        writer.finish()
+    written(folder / "run", [measurement(k, lost=k == 2) for k in range(SETS)])
     write_truth(folder / "truth.csv", SETS * PERIOD_S)
     rows = [f"{camera.name},{k},red,{300 + k},200" for camera in CAMERAS for k in range(3)]
     (folder / "marks.csv").write_text("\n".join(["camera,frame,ball,u_px,v_px", *rows]) + "\n")

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from measure.results import read_run
 from tests.faults.mutations import AT_MOST_BYTES, Mutations, fault_of, moved
 from tests.faults.subjects import SUBJECTS, small
-from tests.results.conftest import measurement, open_writer
+from tests.results.conftest import measurement, written
 
 QUICK = tuple(
     subject
@@ -78,9 +77,7 @@ def test_poses_that_move_by_more_than_they_state_are_counted(
     tmp_path: Path, error: tuple[float, ...], count: int
 ) -> None:
     """Their standard deviations are 0.1 mm and 1 mrad per axis: 95 % lie within 2.8 of them."""
+    runs = []
     for name, off in (("whole", np.zeros(6)), ("changed", np.array(error))):
-        with open_writer(tmp_path / name) as writer:
-            for k in range(5):
-                writer.append(measurement(k, error=off, lost=k == 3))
-            writer.finish()
-    assert moved(read_run(tmp_path / "whole"), read_run(tmp_path / "changed")) == count
+        runs.append(written(tmp_path / name, [measurement(k, off, lost=k == 3) for k in range(5)]))
+    assert moved(*runs) == count

@@ -16,7 +16,7 @@ from measure.cli import main
 from measure.geometry import RigidTransform
 from measure.results import RunWriter
 from tests.metrology.recordings import Errors, measured, poses_of, with_rests, write_run
-from tests.results.conftest import BODY, CAMERAS, made_from, measurement
+from tests.results.conftest import BODY, CAMERAS, made_from, measurement, written
 
 TABLE = "from,to,length_mm,sd_mm\n" + "".join(
     f"{a},{b},{np.linalg.norm(PLACES[b] - PLACES[a]):.4f},0.002\n" for a, b in PAIRS
@@ -99,10 +99,7 @@ def test_a_bad_row_is_told_with_its_line(rows, message, tmp_path: Path, rng, cap
 
 def test_balls_are_a_ball_bar(tmp_path: Path, capsys):
     """Distances between the body's own balls, by rays alone."""
-    with RunWriter(tmp_path / "run", made_from(), [BODY], CAMERAS) as writer:
-        for k in range(12):
-            writer.append(measurement(k))
-        writer.finish()
+    written(tmp_path / "run", map(measurement, range(12)))
     table = tmp_path / "bar.csv"
     lengths = {
         pair: float(np.linalg.norm(np.subtract(*(BODY.centers[BODY.index(b)] for b in pair))))

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -9,6 +12,7 @@ from measure.host import Dataset
 from measure.robots import RobotLog
 from measure_learning.core import (
     AssemblySettings,
+    EstimateServer,
     Split,
     files,
     simulated_dataset,
@@ -16,6 +20,25 @@ from measure_learning.core import (
 )
 from measure_learning.robots import raven_schema, write_log
 from measure_learning.simulator import simulate
+
+
+@contextmanager
+def serving(server: EstimateServer) -> Iterator[EstimateServer]:
+    """A server that answers in a thread of its own, as long as it is needed."""
+    over = threading.Event()
+
+    def serve() -> None:
+        while not over.is_set():
+            server.serve(0.2)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield server
+    finally:
+        over.set()
+        thread.join()
+        server.close()
 
 
 @pytest.fixture(scope="session")

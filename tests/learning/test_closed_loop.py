@@ -18,14 +18,11 @@ def test_pictures_to_correction(tmp_path: Path, capsys: pytest.CaptureFixture[st
     first, second = tmp_path / "first", tmp_path / "second"
     run, data = tmp_path / "run", tmp_path / "data.parquet"
     model, out = tmp_path / "model.onnx", tmp_path / "out.csv"
-    assert (
-        main(["simulate", "-o", str(first), "--seconds", "10", "--frame-hz", "5", "--seed", "1"])
-        == 0
-    )
-    assert (
-        main(["simulate", "-o", str(second), "--seconds", "9", "--frame-hz", "0.3", "--seed", "2"])
-        == 0
-    )
+    for session, words in (
+        (first, "--seconds 10 --frame-hz 5 --seed 1"),
+        (second, "--seconds 9 --frame-hz 0.3 --seed 2"),
+    ):
+        assert main(["simulate", "-o", str(session), *words.split()]) == 0
     assert main(["run", str(first), "-o", str(run), "--no-recording"]) == 0
     log = str(first / "robot.parquet")
     capsys.readouterr()

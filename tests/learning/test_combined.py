@@ -81,7 +81,6 @@ def test_play_is_learnt_after_the_links_and_the_covariance_is_of_both(days: list
         estimator = fitted(build(name), days, folds=2)
         found = evaluate(days[5], estimator.model.predict(days[5]))
         left.append(found.after.rms_mm)
-        assert estimator.left_out is not None
         assert estimator.left_out.before_mm > 1.0, "of the robot, not of what the first leaves"
         assert estimator.left_out.after_mm == pytest.approx(left[-1], rel=0.4)
         assert 0.6 < found.consistency**0.5 < 1.5
@@ -117,7 +116,6 @@ def test_one_file_by_the_command_line_that_names_both(
     assert answer.error_mm[0] > expected[2, 0] + 0.3
     # Homed otherwise, it finds the zeros.
     chain, today = states.schema.chain, days[5]
-    assert chain is not None
     q = today.schema.joint_positions(today.states)
     off = chain.tip_mm(q + np.deg2rad([0.1, -0.08, 0.1, 0.1, 0.1, 0.0])) - chain.tip_mm(q)
     path = str(tmp_path / "today.parquet")

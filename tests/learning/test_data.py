@@ -101,8 +101,3 @@ def test_a_split_shares_no_trajectory(small: Dataset) -> None:
     assert sum(map(len, parts)) == len(small.present())
     other = split_by_trajectory(small, seed=4)
     assert set(other.test.present()) != parts[2] or set(other.validation.present()) != parts[1]
-
-
-def test_one_trajectory_cannot_be_split(small: Dataset) -> None:
-    with pytest.raises(EstimatorError, match="1 trajectory cannot be split"):
-        split_by_trajectory(small.select(small.names[:1]))

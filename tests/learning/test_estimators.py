@@ -158,7 +158,6 @@ def test_bad_data_and_files_are_refused(
     with pytest.raises(EstimatorError, match="missing: jac_f_4, jac_f_5"):
         model.check(fewer)
     chain = schema.chain
-    assert chain is not None
     moved, rounded = chain.tool.copy(), chain.tool.copy()
     moved[2, 3] += 5.0
     rounded[2, 3] *= 1 + 1e-15  # as another processor computes it

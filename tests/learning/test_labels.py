@@ -30,7 +30,6 @@ def test_the_robots_own_errors_are_labels(pair: tuple[PoseTrack, RobotLog]) -> N
     data, (facts,) = assemble([pair])
     assert facts.doubts == ()
     labels = LabelFacts.of(data)
-    assert labels is not None
     errors = data.errors_mm[data.usable]
     assert labels.rms_mm == pytest.approx(np.sqrt((errors**2).sum(axis=1).mean()))
     np.testing.assert_allclose(labels.largest_mm, np.abs(errors).max(axis=0))

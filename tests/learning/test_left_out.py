@@ -33,7 +33,6 @@ def _recordings(names: list[str], seed: int, rows: int = 60) -> Dataset:
         errors.append(rng.normal(0, 1.0, 3) + rng.normal(0, 0.2, (count, 3)))
     q = np.concatenate(joints)
     schema = find_schema("dvrk-psm")
-    assert schema.chain is not None
     tip = schema.chain.tip_mm(q * [1, 1, 1e3, 1, 1, 1])
     pieces = tuple(f"{name}/{half}" for name in names for half in range(2))
     return Dataset(
@@ -64,7 +63,6 @@ def test_the_covariance_is_that_of_new_recordings() -> None:
     results = [evaluate(new, e.model.predict(new)) for e in (honest, proud)]  # type: ignore[attr-defined]
     assert 0.7 < results[0].consistency ** 0.5 < 1.3
     assert results[1].consistency ** 0.5 > 3.0  # judged by pieces of the recordings learnt from
-    assert honest.left_out is not None
     assert honest.left_out.recordings == 10
     assert honest.left_out.groups == 5
     assert honest.left_out.after_mm > 1.0
@@ -72,7 +70,6 @@ def test_the_covariance_is_that_of_new_recordings() -> None:
     assert [turn.name for turn in turns] == sorted(f"day{index}" for index in range(10))
     assert all(turn.labels == 60 for turn in turns)
     assert np.mean([turn.inside_95 for turn in turns]) > 0.85
-    assert proud.left_out is not None
     assert proud.left_out.groups == 0
     assert proud.left_out.by_recording == ()
 
@@ -87,7 +84,6 @@ def test_the_covariance_is_that_of_new_recordings() -> None:
 def test_baselines_go_through_the_kinematics(name: str, settings: dict[str, float]) -> None:
     """Joint errors that are smooth in the joints are much less so at the tip."""
     rng, schema = np.random.default_rng(5), find_schema("dvrk-psm")
-    assert schema.chain is not None
     data = _recordings([f"day{index}" for index in range(8)], 5)
     where = rng.uniform(-1, 1, (len(data), 6))
     q = where * [0.6, 0.6, 50.0, 1.5, 1.2, 1.2] + [0, 0, 150.0, 0, 0, 0]
@@ -114,7 +110,6 @@ def test_a_recordings_own_offset_is_not_the_nets_to_explain(names: tuple[str, ..
     """
     torch = pytest.importorskip("torch")
     data = _recordings(["a", "b"], 1)
-    assert data.schema.chain is not None
     homed = np.where(data.trajectory < 2, -0.1, 0.1)[:, None] * [0, 0, 0, 0, 1, 0]
     errors = data.schema.chain.tip_mm(data.joints + homed) - data.reported_mm
     part = replace(data, errors_mm=errors).select(names)

@@ -90,7 +90,6 @@ def test_batch_normalisation_folds_into_dense_layers() -> None:
 
 def test_kinematics_in_torch_and_onnx() -> None:
     schema = find_schema("dvrk-psm")
-    assert schema.chain is not None
     rng = np.random.default_rng(3)
     states = rng.uniform(-0.6, 0.6, (20, 9))
     states[:, 2] = rng.uniform(0.05, 0.2, 20)

@@ -13,11 +13,12 @@ from measure.cli import main
 from measure.geometry import RigidTransform
 from measure.model import paper_body
 from measure.session import Trajectory, dump_toml
-from measure.simulation import Lighting, Material, Scene, write_session
+from measure.simulation import Lighting, Material, Scene
 from measure.simulation.catalogue import WORKSPACE_MM, lamps, paper_rig, stems
 from measure_learning.core.frames import read_frame
 from measure_learning.robots import find_schema
 from tests.session.test_bag_pictures import START_S, Bag
+from tests.simulated.sessions import rendered
 
 rosbags = pytest.importorskip("rosbags")
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
@@ -36,9 +37,8 @@ def moved(times: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RigidTransform]:
     """A session folder with one bag, and where the arm's base is."""
-    made, folder = (tmp_path_factory.mktemp(name) for name in ("rendered", "laboratory"))
+    folder = tmp_path_factory.mktemp("laboratory")
     chain = find_schema("ur5e").chain
-    assert chain is not None
     at_home = chain.pose(HOME) @ HAND
     base = RigidTransform(np.eye(3), WORKSPACE_MM) @ at_home.inverse()
     times, logged = np.arange(0.0, 18.0, 0.4), np.arange(-1.0, 19.0, 0.02)
@@ -46,7 +46,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RigidTransform]
     body, light = paper_body(), Lighting(lamps(1), (0.15,) * 3, (0.12,) * 3, shadows=True)
     finish, rig = Material((1.0, 1.0, 1.0), 0.03, 0.08), paper_rig()
     scene = Scene("arm", body, rig, way, light, finish=finish, attached=stems(body), seed=1)
-    write_session(scene, times, made)
+    made = rendered(scene, times)
     with Bag(folder / "lab.mcap") as bag:
         for camera in (c.name for c in rig):
             stamps = np.loadtxt(made / f"{camera}.csv", delimiter=",", skiprows=1)[:, 1]

@@ -36,7 +36,6 @@ def tables() -> tuple[Columns, Columns, Columns]:
     place, quats = arm.track.positions_mm, arm.track.table().world_from_body.quat_wxyz
     poses = dict(zip(POSE, np.column_stack([arm.track.times_s, place, quats]).T, strict=True))
     q, chain = arm.log.states[:, :6], find_schema("ur5e").chain
-    assert chain is not None
     tip = chain.pose(q)
     rows = np.column_stack([q, tip.translation / 1000, tip.rotvec])
     log = {"time_s": arm.log.times_s, **dict(zip([*JOINTS, *TIP], rows.T, strict=True))}

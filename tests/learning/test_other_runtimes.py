@@ -6,7 +6,6 @@ import importlib
 import shutil
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -20,6 +19,7 @@ from measure.host.estimator import quiet
 from measure_learning.core import EstimateServer
 from measure_learning.onnx import OnnxModel
 from measure_learning.robots import find_schema
+from tests.learning.conftest import serving
 
 onnx = pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
@@ -30,7 +30,6 @@ JOINTS = [f"q{i}" for i in range(1, 7)]
 def walks(seed: int) -> Dataset:
     """A UR5e that errs by joint offsets and play-like lag, in two trajectories."""
     schema = find_schema("ur5e")
-    assert schema.chain is not None
     rng = np.random.default_rng(seed)
     q = np.cumsum(rng.normal(0, 0.02, (200, 6)), axis=0) - 0.8
     tips = schema.chain.tip_mm(q)
@@ -115,12 +114,8 @@ def test_cpp_gives_the_same_bits(program: Path, model_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def port(model_path: Path) -> Iterator[int]:
-    server = EstimateServer(OnnxModel.load(model_path), ("127.0.0.1", 0))
-    thread = threading.Thread(target=server.serve, args=(6.0,), daemon=True)
-    thread.start()
-    yield server.address[1]
-    thread.join(20.0)
-    server.close()
+    with serving(EstimateServer(OnnxModel.load(model_path), ("127.0.0.1", 0))) as server:
+        yield server.address[1]
 
 
 class Message(SimpleNamespace):

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from measure.arrays import Floats
 from measure.cli import main
-from measure.host import Dataset
-from measure_learning.core import Refusal, files
+from measure.host import Correction, Dataset
+from measure_learning.core import AnswerPacket, EstimateClient, Refusal, StatePacket, files
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
@@ -54,19 +57,30 @@ def _refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
     return err[0]
 
 
-def test_what_is_read_is_not_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = folder / "left.parquet"
-    before = log.read_bytes()
-    again = folder / "again.parquet"
-    again.unlink(missing_ok=True)
-    again.symlink_to(log)
-    model, run = folder / "model.onnx", folder / "left.csv"
-    for out in (log, again):  # with --overwrite, too
-        line = _refused(capsys, "estimate", model, "--input", log, "--out", out)
-        assert "is one of the files to be read" in line
-        made = _refused(capsys, "dataset", run, "--robot-log", log, "--out", out)
-        assert "is one of the files to be read" in made
-    assert log.read_bytes() == before
+@pytest.mark.parametrize(
+    ("words", "kept"),
+    [
+        ("estimate model.onnx --input left.parquet --out left.parquet", "left.parquet"),
+        ("estimate model.onnx --input left.parquet --out again.parquet", "left.parquet"),
+        ("estimate model.onnx --input left.parquet --out model.onnx", "model.onnx"),
+        (
+            "estimate model.onnx --rezero data.parquet --input left.csv --out data.parquet",
+            "data.parquet",
+        ),
+        ("dataset left.csv --robot-log left.parquet --out again.parquet", "left.parquet"),
+        ("train data.parquet -o data.onnx --estimator offset", "data.card.json"),
+    ],
+)
+def test_what_is_read_is_not_written_over(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys, words: str, kept: str
+) -> None:
+    """Nor through a link, nor a data set's card by that of the model that is trained on it."""
+    monkeypatch.chdir(folder)
+    Path("again.parquet").unlink(missing_ok=True)
+    Path("again.parquet").symlink_to("left.parquet")
+    before = Path(kept).read_bytes()
+    assert "is one of the files to be read" in _refused(capsys, *words.split())
+    assert Path(kept).read_bytes() == before
 
 
 def test_an_output_goes_into_a_folder_that_is_made(folder: Path) -> None:
@@ -84,17 +98,6 @@ def test_where_nobody_can_listen(
         capsys, "estimate", folder / "model.onnx", "--host", host, "--port", port, "--seconds", "1"
     )
     assert f"cannot listen on udp://{host}:{port}" in line
-
-
-def test_neither_a_model_nor_a_card_is_written_over(folder: Path, capsys) -> None:
-    """Nor is the card of a data set by the card of the model that is trained on it."""
-    data, model, card = (folder / name for name in ("data.parquet", "model.onnx", "data.card.json"))
-    before = model.read_bytes(), card.read_bytes()
-    line = _refused(capsys, "estimate", model, "--input", folder / "left.parquet", "--out", model)
-    assert "is one of the files to be read" in line
-    line = _refused(capsys, "train", data, "-o", folder / "data.onnx", "--estimator", "offset")
-    assert "data.card.json: is one of the files to be read" in line
-    assert (model.read_bytes(), card.read_bytes()) == before
 
 
 def test_a_port_that_is_taken(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -219,17 +222,6 @@ def test_outputs_that_cannot_be_written(folder: Path, capsys: pytest.CaptureFixt
         assert reason in _refused(capsys, *words)
 
 
-def test_the_measured_minute_is_not_written_over(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data, log = folder / "data.parquet", folder / "left.csv"
-    before = data.read_bytes()
-    words = ["estimate", str(folder / "model.onnx"), "--rezero", str(data), "--input", str(log)]
-    assert main([*words, "--out", str(data)]) == 2
-    assert "is one of the files to be read" in capsys.readouterr().err
-    assert data.read_bytes() == before
-
-
 def test_another_robots_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Parquet says whose it is; of what does not say it, the kinematics contradict the tip."""
     other = "right.parquet: holds states of robot 'raven2-right', not of 'raven2-left'"
@@ -257,3 +249,63 @@ def test_labels_in_metres(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "labels of 0.0037 (median) are not millimetres" in told
     assert told.count("\n") == 1
     assert not (folder / "no.parquet").exists()
+
+
+pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
+
+
+def test_live_states_that_cannot_be_corrected(
+    folder: Path, small: Dataset, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Wrong count, NaN, stale stamp, reordering, garbage: each answered with its reason."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    words = ["estimate", str(folder / "model.onnx"), "--port", str(port), "--seconds", "4"]
+    capsys.readouterr()
+    server = threading.Thread(target=main, args=([*words, "--json"],))
+    server.start()
+    client = _client(port, small.states[0])
+    state = small.states[0]
+    broken = np.where(np.arange(len(state)) == 7, np.nan, state)
+    sent: list[tuple[int, float, Floats, Refusal | None]] = [
+        (5, 1.0, state, None),
+        (7, 1.2, state, None),  # 6 is lost
+        (6, 1.3, state, Refusal.REPEATED),
+        (8, 1.2, state, Refusal.STALE),
+        (8, 1.3, state[:-1], Refusal.FEATURE_COUNT),
+        (8, 1.3, broken, Refusal.NOT_A_NUMBER),
+        (8, 1.3, state, None),
+    ]
+    for sequence, time_s, values, wanted in sent:
+        answer = _asked(client, StatePacket(sequence, time_s, values).pack())
+        assert answer.sequence == sequence
+        if wanted is None:
+            assert isinstance(answer.answer, Correction)
+        else:
+            assert answer.answer is wanted
+    assert _asked(client, b"garbage").answer is Refusal.MALFORMED
+    client.close()
+    server.join()
+    counts = json.loads(capsys.readouterr().out)
+    assert counts["lost"] == 5  # 1 to 4 and 6
+    refused = {wanted for *_, wanted in sent if wanted} | {Refusal.MALFORMED}
+    assert {reason: counts[reason] for reason in Refusal} == {r: r in refused for r in Refusal}
+
+
+def _client(port: int, state: Floats) -> EstimateClient:
+    """Connected, once the server answers."""
+    client = EstimateClient(("127.0.0.1", port), timeout_s=5.0)
+    for _ in range(200):
+        client.send(StatePacket(0, 0.0, state).pack())
+        if client.receive() is not None:
+            return client
+        time.sleep(0.02)
+    raise AssertionError("the server does not answer")
+
+
+def _asked(client: EstimateClient, data: bytes) -> AnswerPacket:
+    client.send(data)
+    answer = client.receive()
+    assert answer is not None
+    return answer

@@ -216,12 +216,3 @@ def test_more_stops_where_they_are_asked_for_shrink_the_deviations() -> None:
     assert helps["units"] == ["deg"] * 6
     many = register_stops([stopped(8, 30)[0]], schema(ur5e()), RegisterOptions(kinematics=True))
     assert np.trace(many.covariance[:3, :3]) < np.trace(found.covariance[:3, :3])
-
-
-def test_a_recording_that_moves_is_not_taken_for_stops() -> None:
-    """Negative control: thirty seconds of motion find their clock."""
-    from measure_learning.core.registration import LoggedTrack, register
-
-    one = recorded(2, seconds=30.0, frame_hz=8.0)
-    found = register([LoggedTrack(one.track, one.log)], RegisterOptions())
-    assert abs(found.clock_offsets_s["ur5e_2"] - one.clock_offset_s) < 1e-3

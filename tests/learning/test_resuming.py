@@ -95,7 +95,6 @@ def test_nets_come_back_as_they_were_stored(tmp_path: Path) -> None:
     net = Grus(*(dice.random((1, n, 6)) for n in (4, 2, 1, 1)), head=head)
     Checkpoint(tmp_path, "net", 1).store(now=True, net=net.values())
     back = Checkpoint(tmp_path, "net", 1).load(lambda state: Grus.from_values(state["net"]))
-    assert back is not None
     for name in ("from_input", "from_hidden", "input_bias", "hidden_bias"):
         np.testing.assert_array_equal(getattr(back, name), getattr(net, name))
     np.testing.assert_array_equal(back.head.weights[0], head.weights[0])

@@ -16,12 +16,10 @@ from measure_learning.robots import find_schema
 def test_rezero_finds_joints_homed_otherwise(split: Split) -> None:
     """Found on one stretch, the zeros hold on another, where the tip is off otherwise."""
     schema, rng = split.train.schema, np.random.default_rng(1)
-    assert schema.chain is not None
     zeros = np.array([1e-3, -1e-3, 0.1, 0.02, -0.03, 0.02])
 
     def offsets(states: Floats) -> Floats:
         q = schema.joint_positions(states)
-        assert schema.chain is not None
         return schema.chain.tip_mm(q + zeros) - schema.chain.tip_mm(q)
 
     states, later = split.train.states[:200], split.test.states
@@ -86,14 +84,12 @@ def test_drift_is_seen_and_calm_is_not_drift() -> None:
 def test_rezero_gives_no_zero_to_a_joint_that_moves_no_tip() -> None:
     """With a straight wrist its roll stays as it is, and poses far apart need no wide spread."""
     schema, rng = find_schema("dvrk-psm"), np.random.default_rng(0)
-    assert schema.chain is not None
     q = np.zeros((20, 6))
     q[:, 2] = 120.0
     q[:, :2] += rng.normal(0.0, 0.2, (20, 2))
     q[:, 4:] += rng.normal(0.0, 0.002, (20, 2))
 
     def states(joints: Floats) -> Floats:
-        assert schema.chain is not None
         return np.concatenate([joints * [1, 1, 1e-3, 1, 1, 1], schema.chain.tip_mm(joints)], axis=1)
 
     usual = np.array([0.4, 0.4, 20.0, 0.6, 0.6, 0.6])

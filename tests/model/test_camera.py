@@ -11,7 +11,8 @@ from strategies import cameras, lenses, numeric_jacobian
 
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, fit_cone, propagate, tangent_cone
-from measure.model import Camera, Intrinsics
+from measure.model import Camera, Intrinsics, Rig
+from tests.scenes import RAVEN, TARGET, ring
 
 IN_VIEW = st.tuples(st.floats(-0.45, 0.45), st.floats(-0.25, 0.25), st.floats(100, 2000)).map(
     lambda t: np.array([t[0] * t[2], t[1] * t[2], t[2]])
@@ -184,3 +185,34 @@ def test_the_rig_looks_at_the_origin(rig):
         above = camera.project(np.array([[0.0, 0, 30]]))[0]
         assert above[1] < pixel[1], "the world's up is up in the picture"
     assert isinstance(rig[0].world_from_camera, RigidTransform)
+
+
+def test_projects_like_each_camera():
+    cameras = ring()
+    rig = Rig.of(list(cameras.values()))
+    points = TARGET + RAVEN.centers[[0, 1, 2, 0]]
+    pixels, by_world = rig.project(points)
+    for i, camera in enumerate(cameras.values()):
+        expected, expected_by_world, _, _ = camera.project_with_jacobians(points[i : i + 1])
+        np.testing.assert_allclose(pixels[i], expected[0], atol=1e-9)
+        np.testing.assert_allclose(by_world[i], expected_by_world[0], atol=1e-9)
+
+
+def test_rays_go_back_through_the_point():
+    rig = Rig.of(list(ring().values()))
+    pixels, _ = rig.project(TARGET)
+    np.testing.assert_allclose(rig.rays(pixels).distances(TARGET), 0, atol=1e-6)
+
+
+def test_a_point_behind_a_camera_has_no_pixel():
+    rig = Rig.of(list(ring().values()))
+    behind_first = rig.centers[0] + (rig.centers[0] - TARGET)
+    pixels, _ = rig.project(behind_first)
+    assert np.all(np.isnan(pixels[0]))
+    assert np.all(np.isfinite(pixels[2]))
+
+
+def test_take_keeps_order():
+    rig = Rig.of(list(ring().values()))
+    assert rig.take([2, 0]).names == ("cam2", "cam0")
+    np.testing.assert_array_equal(rig.take([2, 0]).centers, rig.centers[[2, 0]])

@@ -28,7 +28,6 @@ def test_smooth_motion_keeps_every_circle_effective():
     for _ in range(40):
         run.step()
         assert run.suspended == {}
-        assert run.conclusion.pose is not None
     error = run.conclusion.pose.world_from_body.difference(smooth(39 * STEP_S))
     assert np.abs(error).max() < 1e-4
 
@@ -108,7 +107,6 @@ def test_a_slightly_wrong_shape_is_flagged():
     run.body = other
     run.solver = SimplexSolver(SimplexSettings(), RAVEN)
     run.step()
-    assert run.conclusion.pose is not None
     assert "body's shape" in run.conclusion.pose.flags[0]
 
 
@@ -128,7 +126,6 @@ def test_four_balls_go_on_when_one_is_lost_everywhere():
     cameras = ring(5)
     run = Run(body=FOUR, cameras=cameras).steps(3)
     run.steps(4, spoil=lambda d: None if d.ball == "blue" else d)
-    assert run.conclusion.pose is not None
     assert run.conclusion.pose.balls == ("white", "orange", "green")
     run.steps(5)
     assert {ball for ball, _ in run.suspended} == {"blue"}
@@ -143,6 +140,5 @@ def test_a_moved_camera_is_flagged_and_named():
     wrong = moved(camera, camera.world_from_camera @ turn)
     run.real_cameras = {**CAMERAS, "cam2": wrong}
     run.step()
-    assert run.conclusion.pose is not None
     assert "rays miss the balls" in run.conclusion.pose.flags[0]
     assert "cam2" in run.conclusion.pose.flags[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from measure.model import (
     Pose,
 )
 from measure.model.observations import Reason, State
-from measure.results import Provenance, RunWriter, read_run
+from measure.results import Provenance, Run, RunWriter, read_run
 
 BODY = Body(
     "triangle",
@@ -130,6 +131,15 @@ def folder(tmp_path: Path) -> Path:
 
 def open_writer(folder: Path, **options: bool) -> RunWriter:
     return RunWriter(folder, made_from(), [BODY], CAMERAS, **options)
+
+
+def written(folder: Path, measurements: Iterable[Measurement], **options: bool) -> Run:
+    """A finished run."""
+    with open_writer(folder, **options) as writer:
+        for one in measurements:
+            writer.append(one)
+        writer.finish()
+    return read_run(folder)
 
 
 def go_on(folder: Path, count: int) -> int:

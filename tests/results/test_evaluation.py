@@ -11,19 +11,15 @@ from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement
 from measure.model import Camera
-from measure.results import Run, RunEvaluation, RunWriter, evaluate, read_run
+from measure.results import Run, RunEvaluation, evaluate
 from measure.session import read_trajectory
-from tests.results.conftest import BODY, CAMERAS, PERIOD_S, made_from, measurement, write_truth
+from tests.results.conftest import CAMERAS, PERIOD_S, measurement, write_truth, written
 
 COUNT = 60
 
 
-def _run(folder: Path, make: Callable[[int], Measurement], count: int = COUNT) -> Run:
-    with RunWriter(folder, made_from(), [BODY], CAMERAS) as writer:
-        for i in range(count):
-            writer.append(make(i))
-        writer.finish()
-    return read_run(folder)
+def _run(folder: Path, make: Callable[[int], Measurement]) -> Run:
+    return written(folder, map(make, range(COUNT)))
 
 
 def _evaluate(folder: Path, make: Callable[[int], Measurement], **options: object) -> RunEvaluation:
@@ -35,17 +31,12 @@ def _evaluate(folder: Path, make: Callable[[int], Measurement], **options: objec
 def test_exact_measurements_have_no_error(tmp_path: Path) -> None:
     found = _evaluate(tmp_path, measurement)
     assert found.compared == COUNT
-    assert found.body is not None
-    assert found.ball is not None
-    assert found.rotation is not None
     # What is left is the truth's interpolation between samples at 240 Hz.
     assert found.body.max_3d_mm < 1e-5
     assert found.ball.max_3d_mm < 1e-4
     assert found.rotation.max_3d_deg < 1e-4
     assert found.rms_all_frames_mm == found.body.rms_3d_mm
     assert found.failure_rate == 0.0
-    assert found.detection is not None
-    assert found.detection.pixels is not None
     assert found.detection.pixels.max_2d_px < 1e-3
 
 
@@ -55,7 +46,6 @@ def test_rms_and_sd_are_those_of_the_table(tmp_path: Path) -> None:
     errors[:, 0] += 0.4
     found = _evaluate(tmp_path, lambda i: measurement(i, errors[i]))
     body, length = found.body, np.linalg.norm(errors[:, :3], axis=1)
-    assert body is not None
     for k, axis in enumerate("xyz"):
         assert body.rms_mm[axis] == pytest.approx(np.sqrt(np.mean(errors[:, k] ** 2)), abs=1e-5)
         assert body.sd_mm[axis] == pytest.approx(np.std(errors[:, k]), abs=1e-5)
@@ -65,7 +55,6 @@ def test_rms_and_sd_are_those_of_the_table(tmp_path: Path) -> None:
     assert body.rms_3d_mm == pytest.approx(math.hypot(*body.rms_mm.values()), abs=1e-9)
     assert body.sd_3d_mm == pytest.approx(length.std(), abs=1e-5)
     assert body.max_3d_mm == pytest.approx(length.max(), abs=1e-5)
-    assert found.rotation is not None
     angle = np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1))
     assert found.rotation.rms_3d_deg == pytest.approx(np.sqrt(np.mean(angle**2)), rel=1e-4)
 
@@ -78,7 +67,6 @@ def test_missing_poses_are_counted_not_passed_over(tmp_path: Path) -> None:
     assert found.without_pose == 15
     assert found.failure_rate == 0.25
     assert found.rms_all_frames_mm == float("inf")
-    assert found.body is not None
     assert found.body.rms_3d_mm == pytest.approx(0.3, abs=1e-5)
     assert any("15 frame sets have no pose" in note for note in found.notes)
 
@@ -101,8 +89,6 @@ def test_flagged_poses_are_told_apart(tmp_path: Path) -> None:
         return dataclasses.replace(made, status=Status.FLAGGED) if bad else made
 
     found = _evaluate(tmp_path, make)
-    assert found.body is not None
-    assert found.body_ok is not None
     assert found.body_ok.count == 40
     assert found.body_ok.max_3d_mm == pytest.approx(0.1, abs=1e-4)
     assert found.body.max_3d_mm == pytest.approx(5.0, abs=1e-4)
@@ -132,14 +118,11 @@ def test_a_moved_world_is_an_absolute_error_but_no_relative_one(tmp_path: Path) 
 
     def make(i: int) -> Measurement:
         exact = measurement(i)
-        assert exact.pose is not None
         moved = world @ exact.pose.world_from_body
         return measurement(i, moved.difference(exact.pose.world_from_body))
 
     found = _evaluate(tmp_path, make)
-    assert found.body is not None
     assert found.body.rms_3d_mm > 2.0
-    assert found.aligned is not None
     assert found.aligned.body.max_3d_mm < 1e-4
     assert found.aligned.rotation.max_3d_deg < 1e-4
     assert found.aligned.turn_deg == pytest.approx(np.rad2deg(np.linalg.norm([0.01, 0.02, 0.005])))
@@ -148,17 +131,12 @@ def test_a_moved_world_is_an_absolute_error_but_no_relative_one(tmp_path: Path) 
 def test_detection_alone_in_px_and_mm(tmp_path: Path) -> None:
     shift = np.array([0.3, -0.4])
     found = _evaluate(tmp_path, lambda i: measurement(i, pixel_error=shift))
-    assert found.body is not None
     assert found.body.max_3d_mm < 1e-4  # the poses themselves are exact
     alone = found.detection
-    assert alone is not None
-    assert alone.pixels is not None
     assert alone.pixels.count == COUNT * 9
     assert alone.pixels.rms_2d_px == pytest.approx(0.5, abs=1e-3)
     assert alone.pixels.mean_px["u"] == pytest.approx(0.3, abs=1e-3)
     # About half a pixel at 580 mm and f = 1400 px.
-    assert alone.ball is not None
-    assert alone.body is not None
     assert 0.1 < alone.ball.rms_3d_mm < 0.35
     assert 0.1 < alone.body.rms_3d_mm < 0.35
     assert found.localisation is None
@@ -175,13 +153,9 @@ def test_localisation_alone(tmp_path: Path) -> None:
     """The run believes the unmoved cameras; in truth one stands elsewhere."""
     found = _evaluate(tmp_path, measurement, true_cameras=[_moved(c) for c in CAMERAS])
     alone = found.localisation
-    assert alone is not None
-    assert alone.ball is not None
     assert alone.body is not None
     assert 0.2 < alone.ball.rms_3d_mm < 1.5
     same = _evaluate(tmp_path / "same", measurement, true_cameras=CAMERAS).localisation
-    assert same is not None
-    assert same.ball is not None
     assert same.ball.max_3d_mm < 1e-6
     with pytest.raises(RunError, match="the true cameras lack 'cam0'"):
         _evaluate(tmp_path / "lack", measurement, true_cameras=CAMERAS[1:])
@@ -226,5 +200,4 @@ def test_frames_beyond_the_truth_are_left_out_and_counted(tmp_path: Path) -> Non
     found = evaluate(run, truth)
     assert found.compared + found.outside_truth == COUNT
     assert 25 < found.outside_truth < 32
-    assert found.body is not None
     assert found.body.max_3d_mm < 1e-4

@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from measure import api
 from measure.errors import ConfigError, RunError
 from measure.host import plain_names
-from measure.results import Run, RunWriter, read_run
+from measure.results import Run
 from measure.results.exporting import export_run
 from measure.session import able, formats
-from tests.results.conftest import BODY, CAMERAS, made_from, measurement, true_pose
+from tests.results.conftest import BODY, measurement, true_pose, written
 
 LOST = (3, 4)
 COUNT = 12
@@ -27,11 +27,7 @@ HERE = [i for i in range(COUNT) if i not in LOST]
 
 @pytest.fixture
 def run(folder: Path) -> Run:
-    with RunWriter(folder, made_from(), [BODY], CAMERAS) as writer:
-        for i in range(COUNT):
-            writer.append(measurement(i, lost=i in LOST))
-        writer.finish()
-    return read_run(folder)
+    return written(folder, [measurement(i, lost=i in LOST) for i in range(COUNT)])
 
 
 def _truth():
@@ -215,12 +211,10 @@ def test_balls_have_topics_of_their_own() -> None:
 
 
 def test_a_run_without_a_pose_is_refused(folder: Path, tmp_path: Path) -> None:
-    with RunWriter(folder, made_from(), [BODY], CAMERAS) as writer:
-        writer.append(measurement(0, lost=True))
-        writer.finish()
+    run = written(folder, [measurement(0, lost=True)])
     for name in able("write_run"):
         with pytest.raises(RunError, match="holds no pose"):
-            export_run([read_run(folder)], name, tmp_path / "x")
+            export_run([run], name, tmp_path / "x")
 
 
 @pytest.mark.parametrize(("name", "library"), [("c3d", "ezc3d"), ("mcap", "rosbags")])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,40 +9,35 @@ import numpy as np
 import pytest
 
 from measure.errors import RunError
-from measure.measuring import Measurement
 from measure.results import Run, RunWriter, evaluate, read_marks, read_run
 from measure.session import read_trajectory
-from tests.results.conftest import BODY, CAMERAS, PERIOD_S, made_from, measurement, write_truth
+from tests.results.conftest import (
+    BODY,
+    CAMERAS,
+    PERIOD_S,
+    made_from,
+    measurement,
+    write_truth,
+    written,
+)
 from tests.session.conftest import write_recording
 
 COUNT = 60
-
-
-def _run(folder: Path, make: Callable[[int], Measurement], count: int = COUNT) -> Run:
-    with RunWriter(folder, made_from(), [BODY], CAMERAS) as writer:
-        for i in range(count):
-            writer.append(make(i))
-        writer.finish()
-    return read_run(folder)
 
 
 def test_detection_against_marks_by_hand(tmp_path: Path) -> None:
     lines = ["camera,frame,ball,u_px,v_px"]
     for i in range(0, COUNT, 10):
         for view in measurement(i).views:
-            assert view.detection is not None
             u, v = view.detection.center_px + np.array([0.3, 0.4])
             lines.append(f"{view.camera},{i},{view.ball},{u:.9f},{v:.9f}")
     (tmp_path / "marks.csv").write_text("\n".join(lines) + "\n")
-    run = _run(tmp_path / "run", measurement)
+    run = written(tmp_path / "run", map(measurement, range(COUNT)))
     truth = read_trajectory(write_truth(tmp_path / "truth.csv", COUNT * PERIOD_S))
     marks = read_marks(tmp_path / "marks.csv", run)
     alone = evaluate(run, truth, marks=marks).detection
-    assert alone is not None
-    assert alone.pixels is not None
     assert alone.pixels.count == 54
     assert alone.pixels.rms_2d_px == pytest.approx(0.5, abs=1e-6)
-    assert alone.ball is not None
     assert alone.ball.count == 18
     assert 0.05 < alone.ball.rms_3d_mm < 0.35
     (tmp_path / "bad.csv").write_text("camera,frame,u_px,v_px\ncam0,1,2,3\n")
@@ -65,7 +59,7 @@ def test_detection_against_marks_by_hand(tmp_path: Path) -> None:
     ],
 )
 def test_marks_of_what_is_not_in_the_run_are_refused(tmp_path: Path, row: str, said: str) -> None:
-    run = _run(tmp_path / "run", measurement, count=2)
+    run = written(tmp_path / "run", map(measurement, range(2)))
     path = tmp_path / "marks.csv"
     path.write_text("camera,frame,ball,u_px,v_px\n, ,,,\ncam0,0,green,2,3\n" + row)
     with pytest.raises(RunError, match=rf"marks\.csv:4: .*{said}"):
@@ -75,16 +69,16 @@ def test_marks_of_what_is_not_in_the_run_are_refused(tmp_path: Path, row: str, s
 
 
 def test_half_a_detection_is_compared_with_no_mark(tmp_path: Path) -> None:
-    run = _run(tmp_path / "run", lambda i: measurement(i, pixel_error=np.array([0, np.nan])), 2)
+    half = np.array([0, np.nan])
+    run = written(tmp_path / "run", [measurement(i, pixel_error=half) for i in range(2)])
     truth = read_trajectory(write_truth(tmp_path / "truth.csv", 2 * PERIOD_S))
     (tmp_path / "marks.csv").write_text("camera,frame,ball,u_px,v_px\ncam0,1,green,2,3\n")
     found = evaluate(run, truth, marks=read_marks(tmp_path / "marks.csv", run)).detection
-    assert found is not None
     assert found.pixels is None
 
 
 def test_a_frame_that_may_have_been_skipped_may_be_marked(tmp_path: Path) -> None:
-    run = _run(tmp_path / "run", lambda i: measurement(i, lost=i > 1), count=4)
+    run = written(tmp_path / "run", [measurement(i, lost=i > 1) for i in range(4)])
     (tmp_path / "marks.csv").write_text("camera,frame,ball,u_px,v_px\ncam0,3,green,2,3\n")
     assert read_marks(tmp_path / "marks.csv", run)
 
@@ -108,8 +102,6 @@ def test_frames_beyond_the_end_of_a_stopped_run_may_be_marked(stopped: Run, tmp_
     truth = read_trajectory(write_truth(tmp_path / "truth.csv", 2 * PERIOD_S))
     found = evaluate(stopped, truth, marks=marks)
     assert "2 of 6 marks are of frames that the run has not: passed over" in found.notes
-    assert found.detection is not None
-    assert found.detection.pixels is not None
     assert found.detection.pixels.count == 4
     path.write_text("camera,frame,ball,u_px,v_px\ncam0,6,green,2,3\n")
     with pytest.raises(RunError, match="has no frame 6 of cam0"):

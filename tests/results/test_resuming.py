@@ -152,7 +152,6 @@ def test_the_lock_ends_with_its_process_even_if_that_is_killed(folder: Path) -> 
     command = [sys.executable, "-c", textwrap.dedent(_HOLDER), str(folder)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         try:
-            assert holder.stdout is not None
             assert holder.stdout.readline() == "held\n"
             for refused in (open_writer, partial(check_run_folder, resume=True, overwrite=False)):
                 with pytest.raises(RunError) as caught:

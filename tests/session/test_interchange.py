@@ -80,20 +80,6 @@ def test_an_opencv_file_with_wrong_numbers(tmp_path: Path, name: str, value, sai
         read_calibration(tmp_path / "c.yml")
 
 
-def test_a_session_may_name_a_foreign_calibration(tmp_path: Path) -> None:
-    from measure.session import open_session
-    from tests.session.conftest import write_recording
-
-    recording = write_recording(tmp_path / "rec")
-    with open_session(recording.path) as session:
-        own = session.cameras
-    write_calibration(recording.path / "array.toml", Calibration(own), "caliscope")
-    recording.replace("session.toml", '"calibration.toml"', '"array.toml"')
-    with open_session(recording.path) as session:
-        for old, new in zip(own, session.cameras, strict=True):
-            assert np.abs(old.world_from_camera.difference(new.world_from_camera)).max() < 1e-9
-
-
 def _written(path: Path, file_format) -> str:
     write_calibration(path, Calibration(cameras()), file_format)
     return path.read_text()

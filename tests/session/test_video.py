@@ -44,13 +44,6 @@ def test_mp4_times_are_exact_in_the_time_base(tmp_path: Path, codec) -> None:
     assert np.array_equal(stream.times_s, np.array([t / 90000 for t in TICKS]) - 1.0)
 
 
-def test_mkv_times_are_those_of_its_milliseconds(tmp_path: Path) -> None:
-    write_video(tmp_path / "cam.mkv", "libx264", TICKS, options=H264[1])
-    stream = open_video_stream("cam", tmp_path / "cam.mkv")
-    assert np.abs(stream.times_s - np.array(TICKS) / 90000).max() < 1.01e-3
-    assert np.abs(1000 * stream.times_s - np.rint(1000 * stream.times_s)).max() < 1e-9
-
-
 MPEG2 = ("mpeg2video", {"bf": "2", "g": "12", "qmin": "1", "qmax": "2"})
 FRAGMENTED = {"movflags": "frag_keyframe+empty_moov"}
 

@@ -56,7 +56,6 @@ def test_pictures_are_the_rendered_ones(recorded) -> None:
     name = scene.cameras[1].name
     phase = scene.phases_s[name]
     written = cv2.imread(str(folder / name / "000002.jpg"))
-    assert written is not None
     rendered = Renderer(scene, name).picture(2 / 30 + phase, 2)
     assert np.abs(written.astype(int) - rendered).mean() < 3
 

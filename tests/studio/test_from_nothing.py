@@ -17,10 +17,10 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.results import read_run
 from measure.session import read_body, read_calibration
-from measure.simulation import write_session
 from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium, find_chromium
+from tests.simulated.sessions import rendered
 from tests.studio import waved
 from tests.studio.desk import (
     FOOT,
@@ -78,10 +78,9 @@ def jpeg(pixels):
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 97])[1].tobytes()
 
 
-def ball_pictures(folder):
+def ball_pictures():
     """Of the paper's body while it is turned."""
-    scene = replace(webcam_scene(), cameras=cameras())
-    write_session(scene, np.arange(8) / 20, folder)
+    folder = rendered(replace(webcam_scene(), cameras=cameras()), np.arange(8) / 20)
     return {
         c.name: [file.read_bytes() for file in sorted((folder / c.name).glob("*.jpg"))]
         for c in cameras()
@@ -96,7 +95,7 @@ def at_rest(picture, rng):
 
 
 def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
-    desk, balls = tmp_path / "desk", ball_pictures(tmp_path / "balls")
+    desk, balls = tmp_path / "desk", ball_pictures()
     boards = CHARUCO.pictures(rng, waved.rig())
     served = {n: ServedCamera(some, PERIOD_S, stamps=True) for n, some in boards.items()}
     with serving(served) as addresses, studio(desk) as address, Chromium(1440, 900) as page:

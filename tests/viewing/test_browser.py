@@ -106,7 +106,6 @@ def _served(run: Path) -> Iterator[str]:
     """The address that `measure view --web` prints, while it runs."""
     command = [sys.executable, "-m", "measure", "view", "--web", str(run)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
-        assert process.stdout is not None
         try:
             yield process.stdout.readline().decode().strip()
         finally:

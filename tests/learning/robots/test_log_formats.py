@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from measure.errors import EstimatorError
-from measure.robots import RobotLog
 from measure_learning.core.files import read_labelled
 from measure_learning.robots import LogFile, find_schema, read_log, write_log
 from tests import bags
@@ -24,7 +23,6 @@ PSM = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 
 def joints_of(robot: str) -> np.ndarray:
     chain = find_schema(robot).chain
-    assert chain is not None
     q = WAVE[:, : chain.size].copy()
     q[:, [joint.prismatic for joint in chain.joints]] += 0.6  # metres
     return q
@@ -35,7 +33,6 @@ OWN_MM = np.array([0.3, -0.4, 0.2])  # from the published kinematics to a contro
 
 def tips_of(robot: str) -> np.ndarray:
     schema = find_schema(robot)
-    assert schema.chain is not None
     slides = [joint.prismatic for joint in schema.chain.joints]
     return schema.chain.tip_mm(joints_of(robot) * np.where(slides, 1000.0, 1.0))
 
@@ -213,7 +210,10 @@ def test_what_a_file_is_counts_and_not_its_name(tmp_path: Path) -> None:
     (tmp_path / "made.bag").rename(tmp_path / "log.csv")
     rtde(tmp_path / "text.bag")
     (tmp_path / "empty_ros2").mkdir()
+    (tmp_path / "junk.parquet").write_bytes(b"nothing")
     for name, words in (
+        ("none.parquet", "no such robot log"),
+        ("junk.parquet", "cannot be read"),
         ("log.csv", "is a bag: rename it to log.bag"),
         ("text.bag", "cannot be read as a bag: it is text that begins 'timestamp actual_q_0'"),
         ("empty_ros2", "cannot be read as a bag"),
@@ -282,11 +282,3 @@ def test_the_unit_of_the_time(name: str, factor: float, read: bool, tmp_path: Pa
         )
     else:
         np.testing.assert_allclose(read_log(path, schema).times_s, TIMES - 99.0, atol=1e-6)
-
-
-def test_a_log_written_by_us_is_read_again(tmp_path: Path) -> None:
-    schema = find_schema("franka")
-    states = np.hstack([joints_of("franka"), tips_of("franka") + 1.0])
-    write_log(tmp_path / "log.parquet", RobotLog(schema, TIMES, states))
-    read = read_log(tmp_path / "log.parquet", schema)
-    np.testing.assert_allclose(read.states, states, rtol=1e-6)  # the log's own position

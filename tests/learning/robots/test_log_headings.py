@@ -104,7 +104,6 @@ def test_a_joint_that_mimics_another_one_follows_it(tmp_path: Path) -> None:
     schema, plain = (find_schema(str(tmp_path / f"{n}.urdf")) for n in ("arm", "plain"))
     assert "joint_3" not in schema.names
     assert schema.chain is not None
-    assert plain.chain is not None
     q = joints_of("ur5e")
     free = {f"joint_{k}": q[:, k] for k in (0, 1, 2, 4, 5)}
     write_text(tmp_path / "log.csv", ",", {"time_s": TIMES} | free)
@@ -139,13 +138,11 @@ def written(how: str, poses: RigidTransform) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("how", ["ur", "kuka", "ros"])
 def test_a_tools_poses_are_read_as_they_are_written(how: str, tmp_path: Path) -> None:
     chain = find_schema("ur5e").chain
-    assert chain is not None
     poses = chain.pose(3 * joints_of("ur5e"))
     columns = {"time_s": TIMES} | written(how, poses)
     write_text(tmp_path / "log.csv", ",", columns)
     assert holds_tool_poses(list(columns))
     log = read_tool_poses(tmp_path / "log.csv", find_schema("ur5e"))
-    assert log.schema.chain is not None
     found = log.schema.chain.pose(log.schema.joint_positions(log.states))
     assert np.abs(found.difference(poses)).max() < 1e-5
     assert np.abs(log.reported_mm - poses.translation).max() < 1e-5

@@ -13,7 +13,6 @@ from measure.host import Registry
 from measure.measuring import Status
 from measure.model import BallColor, Image
 from measure.session import open_session, read_trajectory
-from measure.simulation import write_session
 from measure_plugins._acquisition.color_table import (
     classify,
     color_table,
@@ -21,6 +20,7 @@ from measure_plugins._acquisition.color_table import (
     with_shade,
 )
 from tests.plugins.acquisition.test_candidates import BGR, RAVEN, assert_at, search
+from tests.simulated.sessions import rendered
 from tests.simulated.unusual import unusual_scenes
 
 HUED = ("red", "green", "yellow", "blue", "orange")
@@ -80,17 +80,16 @@ def test_pictures_in_ordinary_light_are_searched_once():
     assert not much_in_shade(lit, dark, 1)
 
 
-def test_a_body_by_a_desk_lamp_is_measured_from_the_first_pictures(tmp_path):
+def test_a_body_by_a_desk_lamp_is_measured_from_the_first_pictures():
     """It was lost: rough outlines were laid along the terminators."""
     scene = unusual_scenes()["desk-lamp"]
-    write_session(replace(scene, seed=5), np.arange(2) / 30, tmp_path)
-    truth = read_trajectory(tmp_path / "truth.csv")
-    with open_session(tmp_path) as session:
+    folder = rendered(replace(scene, seed=5), np.arange(2) / 30)
+    truth = read_trajectory(folder / "truth.csv")
+    with open_session(folder) as session:
         profile = load_profile("precise")
         pipeline = build_pipeline(profile, Registry.discover(), session.body, session.cameras)
         for one in pipeline.measure(session.frame_sets()):
             assert one.status is Status.OK
-            assert one.pose is not None
             delta = one.pose.world_from_body.difference(truth.at([one.pose.time_s])[0])
             assert np.linalg.norm(delta[:3]) < 0.3
             spread = one.pose.covariance[:3, :3]

@@ -44,7 +44,6 @@ def test_a_board_in_kalibrs_words_is_waved(tmp_path, rng):
         cameras = studio_api.parse_cameras([f"{name}={at}" for name, at in addresses.items()])
         options = studio_api.CaptureOptions(seconds=60.0, stop=stop)
         state = studio_api.capture_board(cameras, board, out, options, on_state=hear)
-    assert state is not None
     assert all(seen.views for seen in state.cameras.values())
     opened = open_capture(out)
     assert opened.board == read_board(board)

@@ -112,11 +112,13 @@ class Receiver:
                 continue
 
 
-def mark_after(receiver, port):
-    """Tell of an event once there are poses."""
+def mark_and_end(receiver, port):
+    """Tell of an event once there are poses, and end it some poses later."""
     receiver.wait_for(3)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as lab:
         lab.sendto(b"grasped", ("127.0.0.1", port))
+    receiver.wait_for(30)
+    signal.raise_signal(signal.SIGINT)
 
 
 @pytest.mark.slow
@@ -126,10 +128,10 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
     with ExitStack() as stack:
         receiver = Receiver(stack)
         addresses = stack.enter_context(serving(cameras))
-        more = ("--seconds", "12", "--send", f"udp://127.0.0.1:{receiver.port}", "--record", kept)
+        more = ("--seconds", "90", "--send", f"udp://127.0.0.1:{receiver.port}", "--record", kept)
         lab = free_port(socket.SOCK_DGRAM)
         more = (*more, "--marks", f"udp://127.0.0.1:{lab}")
-        thread = threading.Thread(target=mark_after, args=(receiver, lab))
+        thread = threading.Thread(target=mark_and_end, args=(receiver, lab))
         thread.start()
         stack.callback(thread.join)
         assert main([*words("live", session, addresses, run, *more), "--json"]) == 0
@@ -138,7 +140,8 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
     assert told["ok"] >= told["frame_sets"] - 4
     assert told["age_s"] < 5 * PERIOD_S
     poses = rows(run)
-    errors = errors_mm(poses, cameras, session)
+    # The last pictures came while it was ended: not of all cameras.
+    errors = errors_mm(poses[:-1], cameras, session)
     assert np.sqrt(np.mean(errors**2)) < 0.06
     ((marked_s, what),) = events(run)
     assert what == "grasped"
@@ -159,7 +162,7 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
     assert (run / "run.rrd").stat().st_size > 10_000
     again = measure_run(kept, tmp_path / "again", load_profile("precise"), Registry.discover())
     assert again.ok > 0.9 * again.frame_sets
-    recorded = errors_mm(rows(tmp_path / "again"), cameras, session)
+    recorded = errors_mm(rows(tmp_path / "again")[:-1], cameras, session)
     assert np.sqrt(np.mean(recorded**2)) < 0.06
 
 
@@ -263,21 +266,24 @@ def test_settings_that_are_none(session, tmp_path, capsys, more, told):
     assert told in capsys.readouterr().err
 
 
-def test_an_earlier_run_is_thrown_away_only_if_asked(session, tmp_path, capsys):
-    (tmp_path / "run.toml").touch()
+@pytest.mark.parametrize(
+    ("out", "more", "told"),
+    [
+        ("kept", ("--record", "kept"), "a recording needs a folder of its own"),
+        ("kept/run", ("--record", "kept"), "a recording needs a folder of its own"),
+        ("kept/../kept", ("--record", "kept"), "a recording needs a folder of its own"),
+        ("r", ("--send", "nowhere"), "--send nowhere: no sink is called 'nowhere'; --send takes "),
+        ("r", ("--marks", "udp:5006"), "--marks udp:5006: --marks takes udp://HOST:PORT"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_first(
+    session, tmp_path, capsys, monkeypatch, out, more, told
+):
+    monkeypatch.chdir(tmp_path)
     addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
-    assert main(words("live", session, addresses, tmp_path)) == 2
-    assert "is there already: --overwrite replaces it" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("out", ["kept", "kept/run", "kept/../kept"])
-def test_recording_into_the_run_folder_is_refused_first(session, tmp_path, capsys, out):
-    addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
-    kept = tmp_path / "kept"
-    command = words("live", session, addresses, tmp_path / out, "--record", kept)
-    assert main(command) == 2
-    assert "a recording needs a folder of its own" in capsys.readouterr().err
-    assert not kept.exists()
+    assert main(words("live", session, addresses, out, *more)) == 2
+    assert told in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_interrupt_ends_the_wait_for_a_camera_at_once(session, tmp_path, capsys):
@@ -357,18 +363,3 @@ def test_a_camera_that_is_away_is_told_in_lines_and_rows(session, tmp_path, caps
     text = "".join(path.read_text("utf-8", "replace") for path in out.iterdir())
     assert LOGIN.partition(":")[2] not in text + printed.err + printed.out
     assert TOKEN not in text + printed.err + printed.out
-
-
-def test_an_address_to_send_to_that_is_none(session, tmp_path, capsys):
-    addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
-    command = words("live", session, addresses, tmp_path / "r", "--send", "nowhere")
-    assert main(command) == 2
-    assert "--send nowhere: no sink is called 'nowhere'; --send takes " in capsys.readouterr().err
-
-
-def test_an_address_of_marks_that_is_none_is_refused_first(session, tmp_path, capsys):
-    addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
-    command = words("live", session, addresses, tmp_path / "r", "--marks", "udp:5006")
-    assert main(command) == 2
-    assert "--marks udp:5006: --marks takes udp://HOST:PORT" in capsys.readouterr().err
-    assert not (tmp_path / "r").exists()

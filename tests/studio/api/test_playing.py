@@ -20,7 +20,7 @@ from measure.host import Registry
 from measure.viewing import entities, recording
 from measure_studio.api import PlayOptions, play
 from tests.receiving import check_same, receiving
-from tests.results.conftest import BODY, measurement, open_writer
+from tests.results.conftest import BODY, measurement, written
 from tests.viewing.reading import column, read_recording
 
 FRAMES = 150
@@ -117,23 +117,8 @@ def test_an_interrupt_ends_a_loop(run, capsys):
     with receiving(where) as received:
         thread = threading.Thread(target=interrupt)
         thread.start()
-        assert (
-            main(
-                [
-                    "play",
-                    str(run),
-                    "--rate",
-                    "10",
-                    "--loop",
-                    "--send",
-                    where,
-                    "--wait-s",
-                    "0",
-                    "--json",
-                ]
-            )
-            == 0
-        )
+        words = ["play", str(run), "--rate", "10", "--loop", "--send", where, "--wait-s", "0"]
+        assert main([*words, "--json"]) == 0
         thread.join()
     assert json.loads(capsys.readouterr().out)["frame_sets"] > 2 * FRAMES
 
@@ -166,10 +151,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
 
 
 def test_a_viewer_is_shown_poses_and_balls(tmp_path, monkeypatch):
-    with open_writer(tmp_path / "run") as writer:
-        for k in range(5):
-            writer.append(measurement(k, lost=k == 3))
-        writer.finish()
+    written(tmp_path / "run", [measurement(k, lost=k == 3) for k in range(5)])
     monkeypatch.setattr(recording, "check_listening", lambda address: None)
     monkeypatch.setattr(recording.rr, "GrpcSink", lambda _: rr.FileSink(tmp_path / "seen.rrd"))
     options = PlayOptions(viewer="nowhere", wait_s=0.0, rate=10.0)

@@ -143,7 +143,6 @@ def test_the_command_prints_the_cameras_in_one_line(session, tmp_path):
     with subprocess.Popen(
         [*command, "--port", "0", "--wait-s", "0.3"], stdout=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         cameras = studio_api.parse_cameras(shlex.split(process.stdout.readline()))
         assert len(read(cameras[0].address)) == 4
         assert process.stdout.read() == "pictures sent: cam 0 4, käm#1 0\n"
@@ -174,8 +173,6 @@ def test_json_is_all_that_is_printed(session, capsys):
     with subprocess.Popen(
         [*command, "--port", "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        assert process.stderr is not None
-        assert process.stdout is not None
         assert "http://127.0.0.1:" in process.stderr.readline()
         process.terminate()
         made = json.loads(process.stdout.read())

@@ -1,12 +1,14 @@
-"""Tables in the dialects that spreadsheets, ROS and loggers write are the same table."""
+"""Tables of stamps: in any dialect the same, with the errors that they show, and their offsets."""
 
 from __future__ import annotations
+
+import tomllib
 
 import numpy as np
 import pytest
 
 from measure.errors import SessionError
-from measure.session.timestamps import read_stamps
+from measure.session.timestamps import StampErrors, add_time_offsets, check_time_units, read_stamps
 
 TIMES_S = [1700000000.0, 1700000000.033333, 1700000000.066667]
 DIALECTS = {
@@ -91,8 +93,6 @@ def test_the_session_says_which_column_is_the_time(tmp_path):
         ("frame,time_s\n0,0,5\n1,0,6\n2,0,7\n", "2: 3 cells under 2 headings (and 2 rows more"),
         ("frame,time_s\n0,1.234,5\n", "2: 3 cells under 2 headings: are decimal commas"),
         ("frame;time_s\n0;1.234,5\n", "2: time_s is '1.234,5', not a number"),
-        ("frame,time_s\n0,yesterday\n", "2: time_s is 'yesterday', not a number"),
-        ("frame,secs\n0,17\n", "1: the header lacks time_s"),
     ],
 )
 def test_what_may_mean_two_things_is_refused(tmp_path, text, said):
@@ -100,3 +100,97 @@ def test_what_may_mean_two_things_is_refused(tmp_path, text, said):
     with pytest.raises(SessionError) as refused:
         read_stamps(tmp_path / "cam0.csv", "cam0")
     assert said in str(refused.value)
+
+
+TRUE_S = np.arange(300) / 30
+
+
+@pytest.mark.parametrize("quantum_s", [0.001, 0.01, 0.02, 1 / 64])
+def test_rounded_stamps_have_the_error_of_rounding(quantum_s):
+    stamps = np.unique(np.round(TRUE_S / quantum_s) * quantum_s)
+    found = StampErrors.of(np.round(stamps, 6))
+    np.testing.assert_allclose(found.sd_s, quantum_s / np.sqrt(12))
+    assert any("rounded" in note for note in found.notes) == (quantum_s > 0.005)
+
+
+def test_times_of_arrival_have_the_scatter_of_their_delays():
+    rng = np.random.default_rng(1)
+    stamps = TRUE_S + 0.05 + rng.normal(scale=0.003, size=len(TRUE_S))
+    stamps[100] += 0.02  # one was held up
+    found = StampErrors.of(stamps)
+    assert np.median(found.sd_s) == pytest.approx(0.003, rel=0.35)
+    assert found.sd_s[100] > 0.015
+    assert any("arrival" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        TRUE_S,
+        np.arange(300) / 25,
+        np.delete(TRUE_S, [40, 41, 70]),
+        np.delete(np.arange(300) / 25, [40, 41, 70]),
+        np.cumsum(np.repeat([0.033, 0.04, 0.05], 100)),  # exposures grow as it gets dark
+        np.cumsum(np.random.default_rng(2).uniform(0.03, 0.036, 300)),  # steps of their own
+        TRUE_S[:5],
+    ],
+    ids=["even", "40 ms", "gaps", "gaps of 40 ms", "slower", "wandering", "few"],
+)
+def test_stamps_that_show_no_error_have_none(stamps):
+    found = StampErrors.of(stamps)
+    assert np.all(found.sd_s < 4e-4)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e6, 1e9])
+def test_cameras_in_different_units_are_refused(factor):
+    with pytest.raises(SessionError, match=r"'b' are .* one is in another unit; write seconds"):
+        check_time_units({"a": 0.0333, "b": 0.0333 * factor, "c": 0.034})
+    check_time_units({"a": 0.0333, "b": 0.2, "c": float("inf")})
+
+
+TEXT = """# by hand
+[session]
+name = "s"
+
+[[cameras]]  # left
+name = "a"
+video = "a.mp4"
+
+[[cameras]]
+time_offset_s = 0.5  # measured
+name = "b"
+video = "b.mp4"
+
+[robot]
+log = "x"
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "session.toml"
+    path.write_text(TEXT)
+    return path
+
+
+def test_offsets_are_added_and_the_rest_stays(file):
+    text = add_time_offsets(file, {"a": -1.25, "b": 0.25}, overwrite=True)
+    cameras = tomllib.loads(text)["cameras"]
+    assert [camera["time_offset_s"] for camera in cameras] == [-1.25, 0.75]
+    kept = [line for line in text.splitlines() if "time_offset_s" not in line]
+    assert kept == [line for line in TEXT.splitlines() if "time_offset_s" not in line]
+    assert "time_offset_s = 0.750000  # measured" in text
+
+
+def test_an_offset_is_never_replaced_unasked(file):
+    with pytest.raises(
+        SessionError, match=r"b has time_offset_s = 0\.5 already: --overwrite makes"
+    ):
+        add_time_offsets(file, {"a": 0.0, "b": 1.0})
+    assert file.read_text() == TEXT
+
+
+def test_cameras_written_otherwise_are_left_to_the_user(file):
+    file.write_text('cameras = [{name = "a"}, {name = "b"}]\n[session]\n')
+    with pytest.raises(SessionError, match=r"or add to their times: a \+0\.100000, b \+0"):
+        add_time_offsets(file, {"a": 0.1, "b": 0.0})
