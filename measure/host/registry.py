@@ -112,16 +112,14 @@ def _canonical(name: str) -> str:
 
 
 def _entry_points() -> Iterator[tuple[Distribution, metadata.EntryPoint]]:
-    seen: set[str] = set()
-    for installed in metadata.distributions():
-        # A name found again further down the path is shadowed: the first one is imported.
-        name = _name(installed)
-        if not name or _canonical(name) in seen:
-            continue
-        seen.add(_canonical(name))
-        for entry_point in installed.entry_points:
-            if entry_point.group == hooks.ENTRY_POINT_GROUP:
-                yield Distribution(name, installed.version), entry_point
+    """Of a name that is found again further down the path the first is taken, as it is imported."""
+    owners: dict[metadata.Distribution, Distribution] = {}
+    for entry_point in metadata.entry_points(group=hooks.ENTRY_POINT_GROUP):
+        installed = entry_point.dist
+        if installed is not None and (installed in owners or (name := _name(installed))):
+            if installed not in owners:
+                owners[installed] = Distribution(name, installed.version)
+            yield owners[installed], entry_point
 
 
 def _name(installed: metadata.Distribution) -> str:
