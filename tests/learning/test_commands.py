@@ -117,7 +117,7 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
     from measure.host import Registry
     from measure_learning import api
 
-    options = api.TrainOptions("mlp", resume=True)
+    options = api.TrainOptions("mlp", resume=True, folds=0)
     settings = {"layers": [30], "epochs": 30, "batch": 64}
     out = tmp_path / "m.onnx"
 
@@ -141,7 +141,7 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
     assert seen[0] > 0.4
     assert [line.epoch for line in again.curve] == list(range(len(again.curve)))
     straight = api.train(
-        [data], tmp_path / "s.onnx", api.TrainOptions("mlp"), Registry.discover(),
+        [data], tmp_path / "s.onnx", api.TrainOptions("mlp", folds=0), Registry.discover(),
         lambda d, w: None, settings,
     )  # fmt: skip
     assert again.evaluation.after.rms_mm == pytest.approx(

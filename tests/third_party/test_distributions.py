@@ -85,8 +85,7 @@ def test_a_clash_is_reported_naming_both(listed):
     )
 
 
-def test_plugins_pass_the_conformance_kit_in_their_own_tests(environment: Environment, monkeypatch):
-    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+def test_plugins_pass_the_conformance_kit_in_their_own_tests(environment: Environment):
     settings = environment.folder / "pytest.ini"
     settings.write_text("[pytest]\n")
     command = (environment.program("python"), "-m", "pytest", "-v", "-p", "no:cacheprovider")
