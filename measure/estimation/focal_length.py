@@ -13,8 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats
-from measure.errors import DegenerateGeometryError
-from measure.geometry import fit_cone
 from measure.model import Intrinsics
 
 _STEPS, _REACH = 121, 12.0
@@ -24,6 +22,7 @@ _PIECES = 12
 _LEAST_SD_PX, _LEAST_SD_SHARE = 0.3, 0.003
 """Least error of an outline's pieces, in px and as a share of its radius: no ball is quite
 round."""
+_SINGULAR = 1e-9  # Size of an outline, in rad, and share of singular values that count as none
 _FAR_PX = 1e3  # Stands for the distance from a cone where there is none
 _CONTRADICTION = 2.0
 """By how much the logarithm of the likelihood has to rise for outlines to contradict what was
@@ -53,7 +52,7 @@ def focal_by_outlines(
     factors = np.geomspace(1 / _REACH, _REACH, _STEPS)
     costs = []
     for some in outlines:
-        off = np.array([_off_px(some, zoomed(lens, factor)) for factor in factors])
+        off = _off_px(some, lens, factors)
         if np.isfinite(off).any():
             radius = float(np.linalg.norm(some - some.mean(axis=0), axis=1).mean())
             least = np.nanmin(off) ** 2 + _LEAST_SD_PX**2 + (_LEAST_SD_SHARE * radius) ** 2
@@ -73,14 +72,33 @@ def zoomed(lens: Intrinsics, factor: float) -> Intrinsics:
     return replace(lens, matrix=lens.matrix * scale)
 
 
-def _off_px(points: Floats, lens: Intrinsics) -> float:
-    """RMS distance in px of outline points (n, 2) from the cone through them; NaN without one."""
-    bearings = lens.unproject(points)
-    try:
-        cone = fit_cone(bearings)
-    except DegenerateGeometryError:
-        return float("nan")
-    across = bearings - (bearings @ cone.axis)[:, None] * cone.axis
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    on_cone = np.cos(cone.half_angle) * cone.axis + np.sin(cone.half_angle) * across
-    return float(np.sqrt(np.mean(np.sum((lens.project(on_cone) - points) ** 2, axis=1))))
+def _off_px(points: Floats, lens: Intrinsics, factors: Floats) -> Floats:
+    """RMS distances (k,) in px of outline points (n, 2) from cones through them; NaN without one.
+
+    Args:
+        factors: (k,) by which the lens's focal length is longer. Each has its own cone, fitted as
+            by `geometry.fit_cone`, but all at once.
+    """
+    if len(points) < 3:
+        return np.full(len(factors), np.nan)
+    rays = lens.unproject(points)
+    ideal = rays[:, :2] / rays[:, 2:] / factors[:, None, None]
+    v = np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=2)
+    v /= np.linalg.norm(v, axis=2, keepdims=True)
+    frame = np.linalg.svd(v.mean(axis=1, keepdims=True))[2]  # the mean ray, and two across it
+    v = v @ frame.mT
+    scale = np.ones((len(factors), 3))
+    scale[:, 1:] = np.sqrt(np.mean(np.sum(v[..., 1:] ** 2, axis=2), axis=1))[:, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        u, s, vt = np.linalg.svd(v / np.maximum(scale, _SINGULAR)[:, None], full_matrices=False)
+        w = (vt.mT @ (u.sum(axis=1) / s)[..., None])[..., 0] / scale
+        length = np.linalg.norm(w, axis=1)
+        w /= length[:, None]
+        across = v - (v @ w[..., None]) * w[:, None]
+        across /= np.linalg.norm(across, axis=2, keepdims=True)
+        cosine = (1 / length)[:, None, None]
+        on_cone = (cosine * w[:, None] + np.sqrt(1 - cosine**2) * across) @ frame
+        off = (on_cone[..., :2] / on_cone[..., 2:] - ideal) * factors[:, None, None]
+    off *= np.diag(lens.matrix)[:2]
+    fits = (s[:, 2] > _SINGULAR * s[:, 0]) & (length > 1) & (on_cone[..., 2] > 0).all(axis=1)
+    return np.where(fits, np.sqrt(np.mean(np.sum(off**2, axis=2), axis=1)), np.nan)
