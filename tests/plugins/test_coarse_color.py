@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ SCENE = webcam_scene(12)
 PNG = replace(SCENE, sensor=replace(WEBCAM, encoding="png"))
 
 
+@cache
 def position_rms_mm(folder):
     truth = read_trajectory(folder / "truth.csv")
     profile, registry = load_profile("precise"), Registry.discover()

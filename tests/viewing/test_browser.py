@@ -125,7 +125,7 @@ def test_the_web_viewer_shows_a_run_from_loopback(run: Path, page: Chromium):
             lambda: any(a.startswith(data) for a in page.requests), "the data are fetched", 120
         )
         page.wait_for("document.querySelector('canvas')?.width > 300", 60)
-        page.idle(3.0)
+        page.idle(1.0)
         title = page.evaluate("document.title")
         assert "Rerun" in title
         # The viewer looks for news of itself on the internet; what fails there is none of ours.
