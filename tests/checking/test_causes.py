@@ -48,7 +48,7 @@ def diagnosed(
         stamps = dict(zip(CAMERAS, k / RATE + late(k), strict=True))
         seen = [replace(d, time_s=stamps[d.camera]) for d in seen]
         if k in stray:
-            seen[-1] = replace(seen[-1], center_px=seen[-1].center_px + [400.0, 90.0])
+            seen[-1] = replace(seen[-1], center_px=np.add(seen[-1].center_px, (400.0, 90.0)))
         names = [camera.name for camera in cameras]
         found.append({name: [d for d in seen if d.camera == name] for name in names})
         time_s = float(np.median([stamps[name] for name in names]))
