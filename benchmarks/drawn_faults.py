@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -79,7 +80,7 @@ def drawn(folder: Path, seed: int) -> Iterator[Fault]:
     twins = {frozenset(pair) for pair in _alike(body.centers, body.names)}
     yield Fault("as it is", "", (), "", lambda _: None)
     for number, (name, make) in enumerate(KINDS.items()):
-        rng = np.random.default_rng([seed, number])
+        rng = np.random.default_rng([seed, number, zlib.crc32(folder.name.encode())])
         camera, other = (str(one) for one in rng.choice(cameras, 2, replace=False))
         pairs = [p for p in _pairs(body.names) if frozenset(p) not in twins]
         ball, pair = str(rng.choice(body.names)), pairs[int(rng.integers(len(pairs)))]

@@ -74,7 +74,9 @@ def _exchanged(
     for seen, (frame_set, (now,)) in zip(before.values(), again, strict=True):
         sample = search_sample(now, session.body, session.cameras, frame_set.time_s)
         shares.append([_agreeing(sample, name) / len(session.body.balls) for name in suspects])
-        purer.append([_purity(now[name]) - _purity(seen[name]) for name in suspects])
+        purer.append(
+            [_purity(now.get(name, ())) - _purity(seen.get(name, ())) for name in suspects]
+        )
     if np.mean(purer) < 0:  # two colours are exchanged in the body file
         return []
     share = dict(zip(suspects, np.mean(shares, axis=0), strict=True))

@@ -13,7 +13,7 @@ from measure.checking.search import SearchSample, with_velocities
 from measure.geometry import RigidTransform, chi_square_quantile, squared_mahalanobis
 from measure.measuring.measurement import Measurement
 from measure.measuring.pose_spline import REACH, motion_at
-from measure.model import Body, Camera, Detection
+from measure.model import Body, Camera, Detection, Pose
 from measure.model.observations import Reason
 
 MOST_INSTANTS, _FEWEST = 60, 5
@@ -95,12 +95,25 @@ def _motions(
     poses = [m.pose for m in posed if m.pose is not None]
     gate = chi_square_quantile(_MOTION_CONFIDENCE, 6)
     for k in chosen:
-        motion = motion_at(poses[k], poses[max(k - REACH, 0) : k], poses[k + 1 : k + 1 + REACH])
-        velocity, noise = np.zeros(6), None if motion is None else motion.velocity_covariance
-        if motion is not None and noise is not None:
-            moves = squared_mahalanobis(motion.velocity, noise) >= gate
-            velocity = motion.velocity if moves else velocity
+        before, after = poses[max(k - REACH, 0) : k], poses[k + 1 : k + 1 + REACH]
+        motion, velocity = motion_at(poses[k], before, after), np.zeros(6)
+        if motion is not None and motion.velocity_covariance is not None:
+            # A slow body's shows over a longer time, in which it hardly changes.
+            both = [(motion.velocity, motion.velocity_covariance), _steady(poses[k], before, after)]
+            sure = [own for own, noise in both if squared_mahalanobis(own, noise) >= gate]
+            velocity = next(iter(sure), velocity)
         yield poses[k].world_from_body, velocity
+
+
+def _steady(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> tuple[Floats, Floats]:
+    """The velocity (6,) about a pose and its covariance (6, 6), by the line through all of them."""
+    knots = [*before, pose, *after]
+    times_s = np.array([knot.time_s for knot in knots])
+    weights = times_s - times_s.mean()
+    weights /= weights @ weights
+    steps = np.stack([k.world_from_body.difference(pose.world_from_body) for k in knots])
+    noise = np.einsum("k,kij->ij", weights**2, np.stack([k.own_covariance for k in knots]))
+    return weights @ steps, noise
 
 
 def _preferred(one: Measurement, near: Mapping[float, Sequence[Detection]]) -> Iterator[Detection]:
