@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.command import run_command
 from measure.arrays import Floats
 from measure.host import Dataset, Estimator, Registry, quiet
-from measure_learning.core import AssemblySettings, evaluate, files, simulated_dataset
+from measure_learning.core import AssemblySettings, LabelKind, evaluate, files, simulated_dataset
 from measure_learning.simulator import Cables, Slip
 
 ESTIMATORS: dict[str, dict[str, Any]] = {
@@ -72,7 +72,7 @@ def _sessions(cables: Cables, seed: int, count: int, minutes: float, exact: bool
     pairs = round(_PAIRS_PER_MIN * minutes * count)
     return simulated_dataset(
         minutes=minutes * count, pairs=pairs, restarts=count, seed=seed, cables=cables,
-        exact=exact, settings=_CUT,
+        labels=LabelKind(exact), settings=_CUT,
     )[0]  # fmt: skip
 
 

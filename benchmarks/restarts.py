@@ -21,7 +21,7 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure_learning import api
-from measure_learning.core import DriftMonitor, simulated_dataset
+from measure_learning.core import DriftMonitor, LabelKind, simulated_dataset
 from measure_learning.core.offline import rezero
 from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import Cables
@@ -57,7 +57,7 @@ def one(model: OnnxModel, seed: int, wear: float) -> tuple[Floats, float, str]:
             restarts=1,
             seed=seed,
             cables=Cables(wear=wear),
-            exact=exact,
+            labels=LabelKind(exact),
         )[0]
         for exact in (False, True)
     )

@@ -1,6 +1,6 @@
 """All a plugin author needs to read: interfaces, the hooks, and how plugins are found."""
 
-from measure.host.dataset import Dataset
+from measure.host.dataset import Dataset, Turns
 from measure.host.estimator import (
     Correction,
     Epoch,
@@ -29,6 +29,7 @@ __all__ = [
     "ENTRY_POINT_GROUP", "Broken", "Conclusion", "Correction", "Dataset", "Detector",
     "Distribution", "Epoch", "Estimator", "EventMark", "LeftOut", "Loaded", "Plugin", "PoseSolver",
     "RecordingLeftOut", "Registry", "Report", "Review", "SelfCalibratingDetector", "SentPose",
-    "SentRun", "Setting", "Settings", "Sink", "Tracker", "Triangulator", "describe_settings",
-    "discover", "hookimpl", "host_port", "needed", "plain_name", "plain_names", "quiet", "setting",
+    "SentRun", "Setting", "Settings", "Sink", "Tracker", "Triangulator", "Turns",
+    "describe_settings", "discover", "hookimpl", "host_port", "needed", "plain_name", "plain_names",
+    "quiet", "setting",
 ]  # fmt: skip

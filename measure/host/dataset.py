@@ -22,6 +22,30 @@ def recording_of(trajectory: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
+class Turns:
+    """Errors of a tip's rotation: exp(vector) times the reported rotation is the true one."""
+
+    vectors_rad: Floats  # (..., 3) rotation vectors in the base frame; NaN where not measured
+    covariances: Floats  # (..., 3, 3) in rad^2
+
+    @classmethod
+    def unknown(cls, count: int) -> Turns:
+        """So many that are not measured."""
+        return cls(np.full((count, 3), np.nan), np.tile(np.eye(3), (count, 1, 1)))
+
+    @property
+    def known(self) -> Bools:
+        """Which are measured (...)."""
+        return np.asarray(np.isfinite(self.vectors_rad).all(axis=-1))
+
+    def __getitem__(self, rows: Bools | Ints | slice | int) -> Turns:
+        return Turns(self.vectors_rad[rows], self.covariances[rows])
+
+    def __setitem__(self, rows: Bools | Ints | slice | int, values: Turns) -> None:
+        self.vectors_rad[rows], self.covariances[rows] = values.vectors_rad, values.covariances
+
+
+@dataclass(frozen=True, eq=False)
 class Dataset:
     """Rows of (state, position error), each trajectory's rows together and in time order.
 
@@ -36,6 +60,7 @@ class Dataset:
     errors_mm: Floats  # (n, 3) measured minus reported position; NaN where not measured
     covariances: Floats  # (n, 3, 3) of the label, in mm^2
     usable: Bools  # (n,) whether the label is used for training and scoring
+    turns: Turns | None = None  # (n,) errors of the rotation, if labels hold them
 
     def __post_init__(self) -> None:
         rows = len(self.trajectory)
@@ -63,7 +88,9 @@ class Dataset:
         """A short fingerprint: changes when a state, time, label, weight or trajectory does."""
         sha = hashlib.sha256(repr((self.schema.names, self.names)).encode())
         # States as files hold them.
-        for array in (self.states.astype(np.float32), *(getattr(self, n) for n in _BY_ROW[1:])):
+        arrays = [self.states.astype(np.float32), *(getattr(self, n) for n in _BY_ROW[1:])]
+        arrays += [] if self.turns is None else [self.turns.vectors_rad, self.turns.covariances]
+        for array in arrays:
             sha.update(np.ascontiguousarray(array).tobytes())
         return sha.hexdigest()[:16]
 
@@ -103,7 +130,8 @@ class Dataset:
 
     def rows(self, keep: Bools) -> Dataset:
         """The data set of some rows only."""
-        return replace(self, **{name: getattr(self, name)[keep] for name in _BY_ROW})
+        turns = self.turns and self.turns[keep]
+        return replace(self, turns=turns, **{name: getattr(self, name)[keep] for name in _BY_ROW})
 
     def select(self, names: Sequence[str]) -> Dataset:
         """The data set of some trajectories only; EstimatorError: a name is unknown."""

@@ -10,7 +10,7 @@ from typing import Any, Self, TypeAlias
 
 from measure.arrays import Floats
 from measure.errors import PluginError
-from measure.host.dataset import Dataset
+from measure.host.dataset import Dataset, Turns
 from measure.host.interfaces import Plugin
 from measure.host.settings import Settings
 
@@ -31,6 +31,7 @@ class Correction:
     covariance: Floats  # (3, 3) in mm^2
     # True if the state is unlike anything in training: do not rely on `error_mm`.
     unfamiliar: bool = False
+    turn: Turns | None = None  # a single one, of the tip's rotation, where that was learnt
 
 
 @dataclass(frozen=True)

@@ -31,14 +31,16 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
     tone, sentence = verdict(result, judged)
     sentence = f"{sentence} {trained.promise}"
     page = Page(f"{card['estimator']} for {card['robot']}", sentence, tone)
-    page.facts(
-        [
-            ("training labels", str(card["data"]["training"]["usable"])),
-            (f"{trained.scored_on} labels", str(result.after.rows)),
-            ("residual over promised SD", f"{result.consistency**0.5:.2f}"),
-            ("flagged as unfamiliar", f"{result.unfamiliar:.2%}"),
-        ]
-    )
+    facts = [
+        ("training labels", str(card["data"]["training"]["usable"])),
+        (f"{trained.scored_on} labels", str(result.after.rows)),
+        ("residual over promised SD", f"{result.consistency**0.5:.2f}"),
+        ("flagged as unfamiliar", f"{result.unfamiliar:.2%}"),
+    ]
+    if turn := result.turn:
+        changed = f"{turn.before_deg:.2f} to {turn.after_deg:.2f} deg RMS"
+        facts.append(("rotation of the tip", changed))
+    page.facts(facts)
     words = "Before and after the correction, per axis and in 3-D."
     page.figures(
         "RMS and standard deviation", words, _bars(result.before, result.after, "rms"),

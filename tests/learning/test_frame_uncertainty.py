@@ -25,24 +25,27 @@ def frame() -> RobotFrame:
 
 
 def test_what_is_stated_is_the_scatter_of_the_labels(frame: RobotFrame) -> None:
-    """Frames drawn from the stated covariance put the tip as far apart as is said."""
+    """Frames drawn from the stated covariance put and turn the tip as far apart as is said."""
     arm, rng = recorded(2, seconds=30.0, frame_hz=5.0, true=ur5e()), np.random.default_rng(0)
     track = replace(arm.track, times_s=arm.track.times_s + arm.clock_offset_s)
     at = np.array([10, 80])
     joints = np.stack([np.interp(track.times_s[at], arm.log.times_s, q) for q in arm.log.states.T])
     stated = frame.tip_covariances(schema(ur5e()), joints.T)
-    tips = []
+    tips, turns = [], []
     for delta in rng.multivariate_normal(np.zeros(12), frame.covariance[:12, :12], 2000):
         other = replace(
             frame,
             world_from_base=frame.world_from_base.perturb(delta[:6]),
             flange_from_body=frame.flange_from_body.perturb(delta[6:]),
         )
-        tips.append(other.to_base(track).positions_mm[at])
-    for k in range(len(at)):
-        scatter = np.cov(np.array(tips)[:, k].T)
-        ratios = np.linalg.eigvals(np.linalg.solve(stated[k], scatter)).real
-        assert np.all((ratios > 0.85) & (ratios < 1.15))
+        tip, mean = (one.to_base(track).table().world_from_body for one in (other, frame))
+        tips.append(tip.translation[at])
+        turns.append(tip.difference(mean)[at, 3:])
+    for drawn, said in zip((tips, turns), stated, strict=True):
+        for k in range(len(at)):
+            scatter = np.cov(np.array(drawn)[:, k].T)
+            ratios = np.linalg.eigvals(np.linalg.solve(said[k], scatter)).real
+            assert np.all((ratios > 0.85) & (ratios < 1.15))
 
 
 def test_estimate_states_it(
@@ -67,7 +70,7 @@ def test_estimate_states_it(
         out = tmp_path / f"{name}.csv"
         assert main([*words, str(out), *more]) == 0
         variances.append(Table.read(out).numbers("cov_xx_mm2", "cov_xy_mm2", "cov_zz_mm2"))
-    stated = frame.tip_covariances(schema(ur5e()), arm.log.states[:200])
+    stated, _ = frame.tip_covariances(schema(ur5e()), arm.log.states[:200])
     more_mm2 = np.stack([stated[:, 0, 0], stated[:, 0, 1], stated[:, 2, 2]], axis=1)
     np.testing.assert_allclose(variances[1] - variances[0], more_mm2, rtol=1e-3, atol=1e-4)
     capsys.readouterr()

@@ -10,12 +10,14 @@ import pytest
 
 from measure.host import Dataset
 from measure.host.estimator import quiet
+from measure.robots import SerialChain
 from measure_learning.core import Split
 from measure_learning.estimators import _nets, _training, mlp
 from measure_learning.estimators._kinematics import TorchTip, tip_change
 from measure_learning.estimators._play import PlayBank
 from measure_learning.estimators.stream import StreamEstimator, StreamSettings
 from measure_learning.onnx import Graph, OnnxModel
+from measure_learning.onnx.rotation import LEVER_MM, TurnChain, turn_errors
 from measure_learning.robots import find_schema
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -88,20 +90,26 @@ def test_batch_normalisation_folds_into_dense_layers() -> None:
         np.testing.assert_allclose(values, net(x).numpy(), atol=1e-5)
 
 
-def test_kinematics_in_torch_and_onnx() -> None:
-    schema = find_schema("dvrk-psm")
-    rng = np.random.default_rng(3)
+@pytest.mark.parametrize("kind", [SerialChain, TurnChain])
+def test_kinematics_in_torch_and_onnx(kind: type[SerialChain]) -> None:
+    """Places, and rotation vectors times the lever, also large ones."""
+    schema, rng = find_schema("dvrk-psm"), np.random.default_rng(3)
+    chain, turns = kind(schema.chain.joints, schema.chain.tool), kind is TurnChain
     states = rng.uniform(-0.6, 0.6, (20, 9))
     states[:, 2] = rng.uniform(0.05, 0.2, 20)
-    change = rng.normal(0, 0.05, (20, 6)) * np.array([1, 1, 20, 1, 1, 1])
+    change = rng.normal(0, 0.15 if turns else 0.05, (20, 6)) * np.array([1, 1, 20, 1, 1, 1])
     q = schema.joint_positions(states)
-    wanted = schema.chain.tip_mm(q + change) - schema.chain.tip_mm(q)
+    wanted = chain.tip_mm(q + change) - chain.tip_mm(q)
+    if turns:
+        wanted = LEVER_MM * turn_errors(chain.pose(q + change).rotation, chain.pose(q).rotation)
+        assert np.linalg.norm(wanted, axis=1).max() > 0.5 * LEVER_MM
     graph = Graph()
-    out = tip_change(graph, schema, "features", "dq")
+    out = tip_change(graph, replace(schema, chain=chain), "features", "dq")
     (got,) = _run(graph, {"features": states, "dq": change}, {"out": (out, 3)})
-    np.testing.assert_allclose(got, wanted, atol=2e-4)
-    tip = TorchTip(schema.chain)(torch.tensor(q, dtype=torch.float32)).numpy()
-    np.testing.assert_allclose(tip, schema.chain.tip_mm(q), atol=2e-4)
+    np.testing.assert_allclose(got, wanted, atol=2e-4, rtol=0.01 if turns else 1e-7)
+    tip = TorchTip(chain)
+    now, before = (tip(torch.tensor(one, dtype=torch.float32)) for one in (q + change, q))
+    np.testing.assert_allclose(tip.change(now, before).numpy(), got, atol=5e-4)
 
 
 def test_play_operators_in_the_graph(small: Dataset) -> None:

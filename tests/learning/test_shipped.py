@@ -11,6 +11,7 @@ from measure_learning import api
 from measure_learning.core import (
     PAPER_MINUTES,
     PAPER_PAIRS,
+    LabelKind,
     Score,
     evaluate,
     rezero,
@@ -50,7 +51,9 @@ def test_the_scores_on_its_card_are_true() -> None:
     """Six restarts that it has not seen, judged by the true tip at the true time, once more."""
     model = OnnxModel.load(api.shipped_model())
     pairs = round(30.0 * PAPER_PAIRS / PAPER_MINUTES)
-    data, _ = simulated_dataset(minutes=30.0, pairs=pairs, restarts=6, seed=101, exact=True)
+    data, _ = simulated_dataset(
+        minutes=30.0, pairs=pairs, restarts=6, seed=101, labels=LabelKind(exact=True)
+    )
     assert list(data.present()) == model.card["data"]["test"]["trajectories"]
     assert not set(data.present()) & set(model.card["data"]["training"]["trajectories"])
     result, scores = evaluate(data, model.predict(data)), model.card["scores"]
@@ -83,9 +86,9 @@ def test_a_restart_is_no_drift_but_worn_cables_are(seed: int) -> None:
     model = OnnxModel.load(api.shipped_model())
     fresh, true, worn = (
         simulated_dataset(
-            minutes=2.0, pairs=706, restarts=1, seed=seed, cables=Cables(wear=wear), exact=exact
+            minutes=2.0, pairs=706, restarts=1, seed=seed, cables=Cables(wear=wear), labels=kind
         )[0]
-        for wear, exact in ((1.0, False), (1.0, True), (2.0, False))
+        for wear, kind in ((1.0, LabelKind()), (1.0, LabelKind(exact=True)), (2.0, LabelKind()))
     )
     early = fresh.times_s - fresh.times_s[0] < 60.0
     zeroing, monitor = rezero(model, replace(fresh, usable=fresh.usable & early))

@@ -16,11 +16,11 @@ class Corrector:
         self.period_s, self.ticked_s = facts["period_s"], -np.inf
 
     def correct(self, state, time_s):
-        """Error in mm to add to the reported tip, its covariance, and the strangeness."""
+        """Error in mm to add to the tip, its covariance, strangeness; `turn_rad` if it is there."""
         tick = time_s - self.ticked_s >= 0.75 * self.period_s
         self.ticked_s = time_s if tick else self.ticked_s
         rows = {"features": np.float32([state]), "tick": np.float32([[tick]])}
-        error_mm, covariance, strangeness, self.memory = self.session.run(
+        error_mm, covariance, strangeness, self.memory, *turn = self.session.run(
             None, {**rows, "memory": self.memory}
         )
-        return error_mm[0], covariance.reshape(3, 3), strangeness[0, 0]
+        return error_mm[0], covariance.reshape(3, 3), strangeness[0, 0], *(t[0] for t in turn)

@@ -114,7 +114,11 @@ def correct_simulated_robot(seconds: float = 60.0, seed: int = 7) -> EstimatorEv
 
     pairs = round(seconds * learning.PAPER_PAIRS / learning.PAPER_MINUTES / 60.0)
     data, _ = learning.simulated_dataset(
-        minutes=seconds / 60.0, pairs=pairs, restarts=1, seed=seed, exact=True
+        minutes=seconds / 60.0,
+        pairs=pairs,
+        restarts=1,
+        seed=seed,
+        labels=learning.LabelKind(exact=True),
     )
     return learning.evaluate(data, OnnxModel.load(shipped_model()).predict(data))
 

@@ -159,6 +159,7 @@ class SimulationOptions:
         seed: simulated: of motion, restarts and noise.
         wear: simulated: slack and friction relative to new cables.
         exact: simulated: labels of the true tip at the true time, to judge by.
+        rotations: simulated: labels hold the tip's rotation, too.
     """
 
     simulate_min: float | None = None
@@ -167,6 +168,7 @@ class SimulationOptions:
     seed: int = 1
     wear: float = 1.0
     exact: bool = False
+    rotations: bool = False
 
 
 def simulate_dataset(
@@ -177,7 +179,13 @@ def simulate_dataset(
     Its labels are measured with noise on a clock that must be found, or exact. ConfigError: a
     length, a count, a seed or a wear that makes no data; EstimatorError: no data set's name.
     """
-    from measure_learning.core import PAPER_MINUTES, PAPER_PAIRS, files, simulated_dataset
+    from measure_learning.core import (
+        PAPER_MINUTES,
+        PAPER_PAIRS,
+        LabelKind,
+        files,
+        simulated_dataset,
+    )
 
     _check_name(out)
     o, minutes = options, options.simulate_min or 0.0
@@ -190,8 +198,8 @@ def simulate_dataset(
             "positive numbers"
         )
     data, facts = simulated_dataset(
-        minutes=minutes, pairs=count, restarts=o.restarts, seed=o.seed, exact=o.exact,
-        cables=Cables(wear=o.wear), report=report,
+        minutes=minutes, pairs=count, restarts=o.restarts, seed=o.seed,
+        labels=LabelKind(o.exact, o.rotations), cables=Cables(wear=o.wear), report=report,
     )  # fmt: skip
     source = f"simulated RAVEN-II, {minutes:g} min, {o.restarts} restarts, seed {o.seed}, "
     source += f"wear {o.wear:g}{', true positions' if o.exact else ''}"

@@ -98,3 +98,8 @@ def _tell_labels(labels: LabelFacts | None) -> None:
         f"labels, measured minus reported: {labels.rms_mm:.2f} mm RMS (3-D); in x y z mean {mean}, "
         f"SD {sd}, largest {largest} mm"
     )
+    if labels.turns:
+        console.print_text(
+            f"{labels.turns} of them hold the tip's rotation, measured against the joints': "
+            f"{labels.turn_deg:.2f} deg RMS"
+        )

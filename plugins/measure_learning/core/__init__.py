@@ -16,7 +16,7 @@ from measure_learning.core.scores import (
     field_groups,
 )
 from measure_learning.core.server import EstimateClient, EstimateServer
-from measure_learning.core.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
+from measure_learning.core.simulated import PAPER_MINUTES, PAPER_PAIRS, LabelKind, simulated_dataset
 from measure_learning.core.splits import (
     Split,
     join,
@@ -30,8 +30,8 @@ from measure_learning.core.training import Trained, train
 __all__ = [
     "PAPER_MINUTES", "PAPER_PAIRS", "AnswerPacket", "AssemblySettings", "Counters", "DriftMonitor",
     "EstimateClient", "EstimateServer", "EstimatorEvaluation", "GuardedModel", "Importance",
-    "OffsetFollower", "PoseTrack", "Refusal", "Score", "Split", "StatePacket", "SweepState",
-    "Trained", "TrajectoryFacts", "TruePacket", "Zeroing", "ablate", "assemble",
+    "LabelKind", "OffsetFollower", "PoseTrack", "Refusal", "Score", "Split", "StatePacket",
+    "SweepState", "Trained", "TrajectoryFacts", "TruePacket", "Zeroing", "ablate", "assemble",
     "correct_file", "estimate_offset", "evaluate", "field_groups", "files", "fit_zeroing",
     "follower_of", "join", "read_states", "rezero", "same_robot", "simulated_dataset",
     "split_as_trained", "split_by_trajectory", "sweeping", "train",

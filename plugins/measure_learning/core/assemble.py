@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -11,7 +12,7 @@ from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.geometry.covariance import MAD_TO_SD, inverted
-from measure.host import Dataset
+from measure.host import Dataset, Turns
 from measure.metrology.poses import PoseTable
 from measure.robots import StateSchema
 from measure_learning.core.clock import ClockOffset, estimate_offset
@@ -21,12 +22,17 @@ from measure_learning.core.labels import (
     check_turns,
     check_units,
     label_doubts,
+    not_the_tip,
 )
 from measure_learning.core.splits import join
+from measure_learning.onnx.rotation import LEVER_MM, turn_errors
 from measure_learning.robots import StateLog
+
+_log = logging.getLogger(__name__)
 
 _LARGEST_OFFSET_S = 3600.0
 _LARGEST_RATE_HZ = 10_000.0
+_LEAST_JUMP_MM = 25.0  # of a rotation, at the lever: slack wrists jump by several degrees
 LONGEST_GAP_S = 0.05  # Labels farther than this from the robot's states are unusable
 
 
@@ -196,7 +202,7 @@ def _assemble_one(
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     marks = _EventMarks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
     judged = marks.judged
-    _check_turns(track, log.schema, states[row_of_pose], judged[row_of_pose])
+    turns = _turns(track, log.schema, states, row_of_pose, judged, settings)
     check_frames(track.name, positions[judged], reported[judged])
     given = clock is None and bool(np.all(np.diff(times) > 0))
     velocity = np.gradient(reported, times, axis=0)[judged] if given else None
@@ -215,6 +221,7 @@ def _assemble_one(
         errors[kept],
         covariances[kept],
         marks.usable[kept],
+        turns and turns[kept],
     )
     during = (log.times_s >= times[0]) & (log.times_s <= times[-1])
     bad = int((~log.complete[during]).sum())
@@ -231,11 +238,32 @@ def _measured_at(track: PoseTrack, rows: Ints, count: int) -> tuple[Floats, Floa
     return positions, covariances
 
 
-def _check_turns(track: PoseTrack, schema: StateSchema, states: Floats, judged: Bools) -> None:
-    """Refuse measured turns of the `judged` poses that are not those of their joints' states."""
-    if schema.chain is not None and track.rotations is not None:
-        joints = schema.joint_positions(states[judged])
-        check_turns(track.name, track.rotations[judged], schema.chain.pose(joints).rotation)
+def _turns(
+    track: PoseTrack, schema: StateSchema, states: Floats, rows: Ints, judged: Bools,
+    settings: AssemblySettings,
+)  -> Turns | None:  # fmt: skip
+    """Errors (n,) of the tip's rotation at states (n, features), of the poses in their `rows`.
+
+    NaN where they are outliers or too uncertain, as positions are, at a lever. None where no
+    rotation is known, or where it is not that of the tip. EstimatorError: rotations of the `judged`
+    poses are not those of their joints' states, in any frame.
+    """
+    if schema.chain is None or track.rotations is None or track.pose_covariances is None:
+        return None
+    modelled = schema.chain.pose(schema.joint_positions(states[rows])).rotation
+    judged = judged[rows]
+    check_turns(track.name, track.rotations[judged], modelled[judged])
+    if (cause := not_the_tip(schema, states[rows][judged], track.rotations[judged])) is not None:
+        _log.warning("%s: %s", track.name, cause)
+        return None
+    errors, covariances = turn_errors(track.rotations, modelled), track.pose_covariances[:, 3:, 3:]
+    errors[~np.isfinite(track.positions_mm).all(axis=1)] = np.nan
+    sd_mm = LEVER_MM * np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+    certain = sd_mm <= settings.largest_sd_mm
+    errors[~certain | _outliers(LEVER_MM * errors, settings.outlier_sds, _LEAST_JUMP_MM)] = np.nan
+    out = Turns.unknown(len(states))
+    out[rows] = Turns(errors, np.where(certain[:, None, None], covariances, np.eye(3)))
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,8 +362,8 @@ def interpolate(log: CompleteStates, at: Floats, longest_gap_s: float) -> tuple[
     return states, nearest <= longest_gap_s
 
 
-def _outliers(errors: Floats, sds: float, window: int = 9) -> Bools:
-    """Labels far from the median of their neighbours."""
+def _outliers(errors: Floats, sds: float, least_mm: float = 1.0, window: int = 9) -> Bools:
+    """Labels far from the median of their neighbours, by so much at least."""
     seen = np.isfinite(errors).all(axis=1)
     out = np.zeros(len(errors), dtype=bool)
     values = errors[seen]
@@ -345,7 +373,7 @@ def _outliers(errors: Floats, sds: float, window: int = 9) -> Bools:
     neighbours = np.lib.stride_tricks.sliding_window_view(padded, window, axis=0)
     away = np.abs(values - np.median(neighbours, axis=-1))
     scale = MAD_TO_SD * np.median(away, axis=0) + 0.05
-    out[np.flatnonzero(seen)[(away > np.maximum(sds * scale, 1.0)).any(axis=1)]] = True
+    out[np.flatnonzero(seen)[(away > np.maximum(sds * scale, least_mm)).any(axis=1)]] = True
     return out
 
 

@@ -5,7 +5,9 @@ trajectory, without history), stamp (float64, s), count (uint16), then `count` f
 answer: magic `TBe1`, the same sequence number and stamp, status (uint8: 0 corrected, 1 corrected
 but unfamiliar, 2 and above refused, see `STATUS`; 8 means that the server has no room for a new
 sender's history), error x y z (float32, mm; NaN if refused) and the upper triangle of its
-covariance (6 float32, mm^2).
+covariance (6 float32, mm^2). A state with the magic `TBs2` is answered by `TBe2`, which ends with
+the rotation vector of the tip's error in the base frame (3 float32, rad) and the upper triangle of
+its covariance (6 float32, rad^2); NaN where the model does not correct rotations.
 
 A true position, from cameras that see the tip now and then: magic `TBp1`, the sequence number of
 the state at which it was measured (uint64), x y z in the robot's frame and its SD per axis (4
@@ -21,21 +23,21 @@ import selectors
 import socket
 import struct
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.host import Correction
+from measure.host import Correction, Turns
 from measure_learning.core.guard import Refusal
 
 _STATE = struct.Struct("<4sQdH")
-_ANSWER = struct.Struct("<4sQdB9f")
+_ANSWER, _ANSWER_TURN = struct.Struct("<4sQdB9f"), struct.Struct("<4sQdB18f")
 _TRUE = struct.Struct("<4sQ4f")
-_STATE_MAGIC, _ANSWER_MAGIC, _TRUE_MAGIC = b"TBs1", b"TBe1", b"TBp1"
+_STATE_MAGICS, _ANSWER_MAGICS, _TRUE_MAGIC = (b"TBs1", b"TBs2"), (b"TBe1", b"TBe2"), b"TBp1"
 _UPPER = [0, 1, 2, 4, 5, 8]  # places of the upper triangle in a covariance
 STATUS = {reason: code for code, reason in enumerate(Refusal, start=2)}
 _REASON = {code: reason for reason, code in STATUS.items()}
@@ -49,22 +51,23 @@ class StatePacket:
     sequence: int
     time_s: float
     state: Floats
+    turn: bool = False  # whether the rotation's error is asked for, too
 
     def pack(self) -> bytes:
         """As bytes."""
-        head = _STATE.pack(_STATE_MAGIC, self.sequence, self.time_s, len(self.state))
+        head = _STATE.pack(_STATE_MAGICS[self.turn], self.sequence, self.time_s, len(self.state))
         return head + np.asarray(self.state, dtype="<f4").tobytes()
 
     @classmethod
     def unpack(cls, data: bytes) -> StatePacket | None:
         """From bytes; None if they are no such packet."""
-        if len(data) < _STATE.size or data[:4] != _STATE_MAGIC:
+        if len(data) < _STATE.size or data[:4] not in _STATE_MAGICS:
             return None
         _, sequence, time_s, count = _STATE.unpack_from(data)
         if len(data) != _STATE.size + 4 * count:
             return None
         state = np.frombuffer(data, dtype="<f4", offset=_STATE.size).astype(np.float64)
-        return cls(sequence, time_s, state)
+        return cls(sequence, time_s, state, data[:4] == _STATE_MAGICS[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,30 +100,41 @@ class AnswerPacket:
     sequence: int
     time_s: float
     answer: Correction | Refusal
+    turn: bool = False  # whether it holds the rotation's error, too
 
     def pack(self) -> bytes:
         """As bytes."""
-        if isinstance(self.answer, Refusal):
-            numbers = [float("nan")] * 9
-            status = STATUS[self.answer]
+        form, numbers = _ANSWER_TURN if self.turn else _ANSWER, [float("nan")] * 18
+        if isinstance(answer := self.answer, Refusal):
+            status = STATUS[answer]
         else:
-            covariance = self.answer.covariance.take(_UPPER)
-            numbers = self.answer.error_mm.tolist() + covariance.tolist()
-            status = int(self.answer.unfamiliar)
-        return _ANSWER.pack(_ANSWER_MAGIC, self.sequence, self.time_s, status, *numbers)
+            numbers[:9] = answer.error_mm.tolist() + answer.covariance.take(_UPPER).tolist()
+            if (turn := answer.turn) is not None:
+                numbers[9:] = turn.vectors_rad.tolist() + turn.covariances.take(_UPPER).tolist()
+            status = int(answer.unfamiliar)
+        magic, kept = _ANSWER_MAGICS[self.turn], numbers[: 18 if self.turn else 9]
+        return form.pack(magic, self.sequence, self.time_s, status, *kept)
 
     @classmethod
     def unpack(cls, data: bytes) -> AnswerPacket:
         """From bytes; EstimatorError if they are no such packet."""
-        if len(data) != _ANSWER.size or data[:4] != _ANSWER_MAGIC:
+        form = _ANSWER_TURN if (turn := data[:4] == _ANSWER_MAGICS[1]) else _ANSWER
+        if len(data) != form.size or data[:4] not in _ANSWER_MAGICS:
             raise EstimatorError(f"an answer of {len(data)} bytes is not an estimator's")
-        _, sequence, time_s, status, *numbers = _ANSWER.unpack(data)
+        _, sequence, time_s, status, *numbers = form.unpack(data)
         if status > 1:
-            return cls(sequence, time_s, _REASON[status])
-        covariance = np.zeros((3, 3))
-        covariance.put(_UPPER, numbers[3:])
-        covariance = covariance + np.triu(covariance, 1).T
-        return cls(sequence, time_s, Correction(np.array(numbers[:3]), covariance, status == 1))
+            return cls(sequence, time_s, _REASON[status], turn)
+        correction = Correction(*_estimate(numbers[:9]), status == 1)
+        if turn and not np.isnan(numbers[9]):
+            correction = replace(correction, turn=Turns(*_estimate(numbers[9:])))
+        return cls(sequence, time_s, correction, turn)
+
+
+def _estimate(numbers: Sequence[float]) -> tuple[Floats, Floats]:
+    """A vector (3,) and its covariance (3, 3)."""
+    covariance = np.zeros((3, 3))
+    covariance.put(_UPPER, numbers[3:])
+    return np.array(numbers[:3]), covariance + np.triu(covariance, 1).T
 
 
 _PRIORITY = 10  # Of SCHED_FIFO: above all ordinary processes, below the kernel's own threads

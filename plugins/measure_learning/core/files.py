@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.host import Dataset
+from measure.host import Dataset, Turns
 from measure.results import read_run
 from measure.results.tables import PLACE
 from measure.robots import StateSchema
@@ -31,11 +31,31 @@ _LABEL_SD_MM = 0.1  # of those, which no column states
 _OF_POSES = ("time_s", *PLACE, "position_sd_mm", "rotation_sd_deg", "rms_px", "status")
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _COVARIANCE = tuple(f"cov_{'xyz'[i]}{'xyz'[j]}_mm2" for i, j in _UPPER)
+_TURNS = ("turn_x_rad", "turn_y_rad", "turn_z_rad")
+_TURN_COVARIANCE = tuple(f"turn_cov_{'xyz'[i]}{'xyz'[j]}_rad2" for i, j in _UPPER)
+_TURN_SD_DEG = 0.3  # per axis, of rotations, where no column states it
 
 
-def covariance_columns(covariances: Floats) -> dict[str, Floats]:
-    """Upper triangles of (n, 3, 3) in mm^2, by the names of their columns."""
-    return {n: covariances[:, i, j] for n, (i, j) in zip(_COVARIANCE, _UPPER, strict=True)}
+def covariance_columns(
+    covariances: Floats, names: Sequence[str] = _COVARIANCE
+) -> dict[str, Floats]:
+    """Upper triangles of (n, 3, 3), in mm^2 or in the unit of other names of columns."""
+    return {n: covariances[:, i, j] for n, (i, j) in zip(names, _UPPER, strict=True)}
+
+
+def turn_columns(turns: Turns | None) -> dict[str, Floats]:
+    """Errors of rotations, by the names of their columns; nothing if there are none."""
+    if turns is None:
+        return {}
+    named = dict(zip(_TURNS, turns.vectors_rad.T, strict=True))
+    return named | covariance_columns(turns.covariances, _TURN_COVARIANCE)
+
+
+def _read_covariances(table: Table, names: Sequence[str]) -> Floats:
+    out = np.empty((len(table), 3, 3))
+    for (i, j), column in zip(_UPPER, table.numbers(*names).T, strict=True):
+        out[:, i, j] = out[:, j, i] = column
+    return out
 
 
 def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], source: str) -> None:
@@ -49,6 +69,7 @@ def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], s
         "usable": data.usable,
         **dict(zip(_ERRORS, data.errors_mm.T, strict=True)),
         **covariance_columns(data.covariances),
+        **turn_columns(data.turns),
         **dict(zip(data.schema.names, data.states.T.astype(np.float32), strict=True)),
     }
     table = pa.table(columns).replace_schema_metadata(
@@ -81,9 +102,6 @@ def read_dataset(path: Path) -> Dataset:
         )
     schema = StateSchema.from_dict(json.loads(text))
     names, trajectory = _encode(table.labels("trajectory"))
-    covariances = np.empty((len(trajectory), 3, 3))
-    for (i, j), column in zip(_UPPER, table.numbers(*_COVARIANCE).T, strict=True):
-        covariances[:, i, j] = covariances[:, j, i] = column
     usable = table.numbers("usable")[:, 0]
     if not np.isin(usable, (0, 1)).all():
         raise EstimatorError(f"{path}: column 'usable' must say true or false in every row")
@@ -94,9 +112,12 @@ def read_dataset(path: Path) -> Dataset:
         trajectory,
         names,
         table.numbers(*_ERRORS),
-        covariances,
+        _read_covariances(table, _COVARIANCE),
         usable == 1,
     )
+    if _TURNS[0] in table:
+        spread = _read_covariances(table, _TURN_COVARIANCE)
+        data = replace(data, turns=Turns(table.numbers(*_TURNS), spread))
     return _checked(path, data)
 
 
@@ -106,7 +127,7 @@ def read_labelled(path: Path, schema: StateSchema) -> Dataset:
     Needs the columns `run`, `t_s`, `ex`, `ey`, `ez` (mm) and the schema's features, or others that
     hold them (`find_columns`); rows whose `quality`, if there is such a column, is not "ok" belong
     to the history only. Runs with one `restart` (or else `day`), where that column is there, count
-    as one recording.
+    as one recording. `turn_x_rad` to `turn_z_rad`, if they are there, are errors of the rotation.
     """
     table = Table.read(path)
     table.require(("run", "t_s", *_LABELS))
@@ -135,6 +156,12 @@ def read_labelled(path: Path, schema: StateSchema) -> Dataset:
         np.tile(_LABEL_SD_MM**2 * np.eye(3), (len(trajectory), 1, 1)),
         usable,
     )
+    if all(name in table for name in _TURNS):
+        turns, variance = table.numbers(*_TURNS), np.deg2rad(_TURN_SD_DEG) ** 2
+        if np.nanmedian(np.abs(turns)) > 1.0:
+            raise EstimatorError(f"{path}: {_TURNS[0]} ... are not radians: are they degrees?")
+        spread = np.tile(variance * np.eye(3), (len(turns), 1, 1))
+        data = replace(data, turns=Turns(turns, spread))
     return _checked(path, data)
 
 
@@ -215,7 +242,7 @@ def _poses_in(path: Path, table: Table, time: str | None) -> PoseTrack:
         columns = np.column_stack([np.arange(len(columns)), columns])
     variances = [
         _variance(table, "position_sd_mm", 0.1),
-        np.deg2rad(_variance(table, "rotation_sd_deg", 0.3) ** 0.5) ** 2,
+        np.deg2rad(_variance(table, "rotation_sd_deg", _TURN_SD_DEG) ** 0.5) ** 2,
     ]
     P = np.repeat(np.stack(variances, axis=1), 3, axis=1)[:, :, None] * np.eye(6)
     turns = None

@@ -54,7 +54,7 @@ class RobotFrame:
         }
 
     def to_base(self, track: PoseTrack) -> PoseTrack:
-        """The reported point in the robot's base, of a track in the cameras' world.
+        """Point and flange's rotation in the robot's base, of a track in the cameras' world.
 
         EstimatorError: the track has no rotations, and the point is not the body's origin.
         """
@@ -63,24 +63,33 @@ class RobotFrame:
         base_from_world = self.world_from_base.inverse()
         point, turns = self.flange_from_body.inverse().translation, track.rotations
         moved, covariances = track.positions_mm, track.covariances
-        if turns is not None and track.pose_covariances is not None:
+        P = track.pose_covariances
+        if turns is not None and P is not None:
             lever = turns @ point
             moved = moved + lever
-            by = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), -skew(lever)], axis=2)
-            covariances = propagate(by, track.pose_covariances)
+            by = np.tile(np.eye(6), (len(turns), 1, 1))
+            by[:, :3, 3:] = -skew(lever)
+            P = propagate(np.kron(np.eye(2), base_from_world.rotation) @ by, P)
+            P = 0.5 * (P + np.swapaxes(P, 1, 2))  # as files hold it
+            turns = base_from_world.rotation @ turns @ self.flange_from_body.rotation.T
+            covariances = P[:, :3, :3]
         elif np.linalg.norm(point) > 1e-6:
             raise EstimatorError(
                 f"{track.name}: holds positions alone, and the frame needs poses: give a run, or "
                 "a table with qw, qx, qy, qz"
             )
+        else:
+            covariances = propagate(base_from_world.rotation, covariances)
         return replace(
             track,
             positions_mm=base_from_world.apply(moved),
-            covariances=propagate(base_from_world.rotation, covariances),
+            covariances=covariances,
+            rotations=turns,
+            pose_covariances=P,
         )
 
-    def tip_covariances(self, schema: StateSchema, states: Floats) -> Floats:
-        """What base and tool leave open of the tip (n, 3, 3), mm^2 in the base's axes.
+    def tip_covariances(self, schema: StateSchema, states: Floats) -> tuple[Floats, Floats]:
+        """What base and tool leave open of tip and rotation (n, 3, 3), mm^2 and rad^2 in the base.
 
         It is common to all labels that were measured by this frame: none of them shows it.
         """
@@ -91,7 +100,9 @@ class RobotFrame:
             turns = schema.chain.pose(schema.joint_positions(states)).rotation
         back = np.broadcast_to(base.rotation.T, turns.shape)
         slopes = np.concatenate([-back, back @ skew(lever), -turns, -turns @ skew(tool)], axis=2)
-        return propagate(slopes, self.covariance[:12, :12])
+        nothing, C = np.zeros_like(turns), self.covariance[:12, :12]
+        turned = np.concatenate([nothing, -back, nothing, -turns], axis=2)
+        return propagate(slopes, C), propagate(turned, C)
 
 
 class _RegisteredFile(FileModel):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -119,10 +119,10 @@ class GuardedModel:
         self.counters.corrected += 1
         self.counters.unfamiliar += correction.unfamiliar
         if self.zeroing is not None:
-            correction = Correction(
-                correction.error_mm + self.zeroing.offset_mm(state),
-                correction.covariance + self.zeroing.covariance,
-                correction.unfamiliar,
+            correction = replace(
+                correction,
+                error_mm=correction.error_mm + self.zeroing.offset_mm(state),
+                covariance=correction.covariance + self.zeroing.covariance,
             )
         if self.follower is None:
             return correction

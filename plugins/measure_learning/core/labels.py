@@ -16,6 +16,7 @@ from measure.limits import CLEAR_RATIO
 from measure.robots import SerialChain, StateSchema
 from measure_learning.core.slips import Misfit, changed
 from measure_learning.core.turns import align_turns
+from measure_learning.onnx.rotation import turn_errors
 
 _MIN_SPREAD_MM = 1.0  # Spread of the positions below which their unit is not checked
 _MIN_SPREAD_SHARE = 1e-4
@@ -147,6 +148,8 @@ class LabelFacts:
     mean_mm: Floats  # (3,)
     sd_mm: Floats  # (3,)
     largest_mm: Floats  # (3,) absolute values
+    turns: int  # how many of them hold the tip's rotation
+    turn_deg: float | None  # RMS of these
 
     @classmethod
     def of(cls, data: Dataset) -> LabelFacts | None:
@@ -154,7 +157,12 @@ class LabelFacts:
         e = data.errors_mm[data.usable]
         if not len(e):
             return None
-        return cls(rms_length(e), e.mean(axis=0), e.std(axis=0), np.abs(e).max(axis=0))
+        turns = np.empty((0, 3))
+        if data.turns is not None:
+            turns = data.turns.vectors_rad[data.usable & data.turns.known]
+        turn_deg = float(np.degrees(rms_length(turns))) if len(turns) else None
+        largest = np.abs(e).max(axis=0)
+        return cls(rms_length(e), e.mean(axis=0), e.std(axis=0), largest, len(turns), turn_deg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,14 +316,41 @@ def _own(pairs: Paired, cause: _Doubt) -> bool:
     return _own_left_mm(pairs, chain) < max(_OWN_RATIO * cause.left_mm, _LEAST_RMS_MM)
 
 
+def not_the_tip(schema: StateSchema, states: Floats, measured: Floats) -> str | None:
+    """Why rotations (n, 3, 3) of a body are not those of the tip but for its errors; or None."""
+    assert schema.chain is not None
+    joints = schema.joint_positions(states)
+    modelled = schema.chain.pose(joints).rotation
+    errors = turn_errors(measured, modelled)
+    base, flange, left = align_turns(modelled, measured)
+    slopes = schema.chain.jacobian(joints)[:, 3:]
+    own = _own_left(errors, slopes, joints, schema.chain, schema.coupled)
+    size, left, own = np.degrees([rms_length(errors), left, own])
+    if left > _MOST * size or own < max(_OWN_RATIO * left, _MIN_APART_DEG):
+        return None
+    world, body = (np.degrees(np.linalg.norm(turn_errors(r, np.eye(3)))) for r in (base, flange))
+    return (
+        f"the tip's rotation is not among the labels: {size:.1f} deg (RMS) from the joints', "
+        f"of which a world turned by {world:.1f} deg and a body turned by {body:.1f} deg against "
+        f"the tip leave {left:.1f}: find both with `measure register`, and give --frame frame.toml"
+    )
+
+
 def _own_left_mm(pairs: Paired, chain: SerialChain) -> float:
     """RMS of what joints homed wrongly, and a wrist's gains, leave of the labels."""
+    errors, slopes = pairs.measured_mm - pairs.reported_mm, chain.jacobian(pairs.joints)[:, :3]
+    return _own_left(errors, slopes, pairs.joints, chain, pairs.coupled)
+
+
+def _own_left(
+    errors: Floats, slopes: Floats, joints: Floats, chain: SerialChain, coupled: Sequence[int]
+) -> float:
+    """The same of errors (n, 3) whose slopes by the joints are (n, 3, joints)."""
     from scipy.optimize import lsq_linear  # slow to load
 
-    errors, wrist = pairs.measured_mm - pairs.reported_mm, list(pairs.coupled)
-    slopes = chain.jacobian(pairs.joints)[:, :3]
+    wrist = list(coupled)
     most = np.array([_OWN_SLIDE_MM if j.prismatic else _OWN_TURN_RAD for j in chain.joints])
-    gains = slopes[:, :, wrist] * (_OWN_GAIN * pairs.joints[:, None, wrist])
+    gains = slopes[:, :, wrist] * (_OWN_GAIN * joints[:, None, wrist])
     slopes = np.concatenate([slopes * most, gains], axis=2)
     found = lsq_linear(slopes.reshape(errors.size, -1), errors.ravel(), (-1, 1))
     return float(np.sqrt(2 * found.cost / len(errors)))

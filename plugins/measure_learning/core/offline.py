@@ -14,12 +14,13 @@ from pyarrow import csv, parquet
 
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
-from measure.host import Correction, Dataset
+from measure.geometry import RigidTransform
+from measure.host import Correction, Dataset, Turns
 from measure.reading import candidates, time_columns
 from measure.robots import StateSchema
 from measure_learning.core import offsets
 from measure_learning.core.assemble import LONGEST_GAP_S, AssemblySettings, PoseTrack, assemble
-from measure_learning.core.files import covariance_columns
+from measure_learning.core.files import covariance_columns, turn_columns
 from measure_learning.core.frames import RobotFrame
 from measure_learning.core.guard import GuardedModel
 from measure_learning.core.labels import Paired, chain_doubt, check_units, not_the_robot
@@ -50,6 +51,7 @@ class Corrected:
     covariances: Floats  # (n, 3, 3) of the corrected positions, mm^2
     unfamiliar: Bools  # (n,)
     counts: dict[str, int]
+    turns: Turns | None = None  # (n,) of the tip's rotation, where the model corrects it
 
     @property
     def axis_sd_mm(self) -> Floats:
@@ -144,7 +146,7 @@ class Corrector:
         """The next states; the counts are of all so far."""
         count = len(table.states)
         errors, covariances = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
-        unfamiliar = np.zeros(count, dtype=bool)
+        turns, unfamiliar = Turns.unknown(count), np.zeros(count, dtype=bool)
         for row, label in enumerate(table.run.tolist()):
             if label != self._run:
                 if self._true is not None and self._run is not None:
@@ -158,10 +160,16 @@ class Corrector:
             if isinstance(answer, Correction):
                 errors[row], covariances[row] = answer.error_mm, answer.covariance
                 unfamiliar[row] = answer.unfamiliar
+                if answer.turn is not None:
+                    turns[row] = answer.turn
                 self._take(table.states[row], float(table.times_s[row]))
+        model = self._guarded.model
         if self._frame is not None:
-            covariances += self._frame.tip_covariances(self._guarded.model.schema, table.states)
-        return Corrected(errors, covariances, unfamiliar, self.counts)
+            place, turn = self._frame.tip_covariances(model.schema, table.states)
+            covariances += place
+            turns = replace(turns, covariances=turns.covariances + turn)
+        rotation = turns if model.turns else None
+        return Corrected(errors, covariances, unfamiliar, self.counts, rotation)
 
     def _take(self, state: Floats, time_s: float) -> None:
         """The true positions measured since the state before, where it was near in time."""
@@ -210,7 +218,10 @@ def correct_file(
 
     Writes Parquet or CSV: `run, i, t_s`, the errors `ex, ey, ez` in mm with `sd_mm` (3-D) and
     `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`
-    and their covariance in the base frame, `cov_xx_mm2, cov_xy_mm2, ... cov_zz_mm2`.
+    and their covariance in the base frame, `cov_xx_mm2, cov_xy_mm2, ... cov_zz_mm2`. Where the
+    model corrects the tip's rotation: the rotation vector of its error in the base frame,
+    `turn_x_rad` to `turn_z_rad`, its covariance `turn_cov_xx_rad2` to `turn_cov_zz_rad2` and,
+    through the kinematics, the corrected rotation `qw, qx, qy, qz`.
     """
     corrector, schema = Corrector(model, zeroing, follower, true, frame), model.schema
     with ExitStack() as opened:
@@ -218,7 +229,9 @@ def correct_file(
         for table in read_states(states, model):
             reported = schema.position_mm(table.states)
             corrected = corrector.correct(table)
-            rows = pa.table(_columns(table, corrected, reported))
+            rows = pa.table(
+                _columns(table, corrected, reported) | _turn_columns(schema, table, corrected)
+            )
             if writer is None:
                 _refuse_other(states, model, table, corrected)
                 kind = csv.CSVWriter if out.suffix == ".csv" else parquet.ParquetWriter
@@ -258,6 +271,17 @@ def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> di
         **{f"{axis}_sd_mm": corrected.axis_sd_mm[:, k] for k, axis in enumerate("xyz")},
         **covariance_columns(corrected.covariances),
     }
+
+
+def _turn_columns(schema: StateSchema, table: StateTable, corrected: Corrected) -> dict[str, Any]:
+    columns = turn_columns(turns := corrected.turns)
+    if turns is None or schema.chain is None:
+        return columns
+    known, quats = turns.known, np.full((len(table.states), 4), np.nan)
+    pose = schema.chain.pose(schema.joint_positions(table.states[known]))
+    turned = RigidTransform.from_rotvec(turns.vectors_rad[known]).rotation @ pose.rotation
+    quats[known] = RigidTransform(turned, np.zeros(3)).quat_wxyz
+    return columns | dict(zip(("qw", "qx", "qy", "qz"), quats.T, strict=True))
 
 
 def follower_of(model: OnnxModel) -> offsets.OffsetFollower:

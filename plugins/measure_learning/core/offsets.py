@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -223,7 +223,7 @@ class OffsetFollower:
         covariance = self._held_mm2 + (1.0 - _SHARE) * correction.covariance
         level = self._surprise / self._expected
         error = correction.error_mm + self._held_mm
-        return Correction(error, level * covariance, correction.unfamiliar)
+        return replace(correction, error_mm=error, covariance=level * covariance)
 
     def add(
         self,

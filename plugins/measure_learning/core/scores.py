@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, rms_length
+from measure.geometry import RigidTransform, chi_square_quantile, squared_mahalanobis
 from measure.host import Dataset, Estimator, Report
 from measure.host.estimator import quiet
 from measure_learning.core.fitting import fit
 from measure_learning.core.splits import Split
 from measure_learning.onnx import Estimates, OnnxModel
+from measure_learning.onnx.rotation import turn_errors
 
 SPEED_EDGES_MM_S = (0.0, 5.0, 15.0, 30.0, 60.0, np.inf)
 
@@ -48,6 +50,33 @@ class Score:
 
 
 @dataclass(frozen=True)
+class TurnScore:
+    """Errors of the tip's rotation, on the usable rows that hold it."""
+
+    rows: int
+    before_deg: float  # RMS
+    after_deg: float  # RMS
+    inside_95: float  # share of rows in the stated 95 % region
+    consistency: float  # mean squared Mahalanobis length per axis; 1 if the covariance fits
+
+    @classmethod
+    def of(cls, data: Dataset, estimates: Estimates) -> TurnScore | None:
+        """None where rotations are not measured, or not corrected."""
+        if (turns := data.turns) is None or (estimated := estimates.turns) is None:
+            return None
+        keep = data.usable & turns.known
+        if not keep.any():
+            return None
+        before, said = turns[keep].vectors_rad, estimated[keep]
+        corrected, measured = map(RigidTransform.from_rotvec, (said.vectors_rad, before))
+        left = turn_errors(measured.rotation, corrected.rotation)
+        squared = squared_mahalanobis(left, said.covariances + turns[keep].covariances)
+        inside = float((squared < chi_square_quantile(0.95, 3)).mean())
+        before_deg, after_deg = (float(np.degrees(rms_length(one))) for one in (before, left))
+        return cls(len(before), before_deg, after_deg, inside, float(squared.mean() / 3.0))
+
+
+@dataclass(frozen=True)
 class EstimatorEvaluation:
     """An estimator on a data set, before and after the correction."""
 
@@ -61,6 +90,7 @@ class EstimatorEvaluation:
     by_trajectory: dict[str, tuple[Score, Score]]  # name -> (before, after)
     # (slowest mm/s, fastest mm/s, before, after).
     by_speed: tuple[tuple[float, float, Score, Score], ...]
+    turn: TurnScore | None = None  # of the tip's rotation, where it is measured and corrected
 
 
 def evaluate(data: Dataset, estimates: Estimates) -> EstimatorEvaluation:
@@ -90,6 +120,7 @@ def evaluate(data: Dataset, estimates: Estimates) -> EstimatorEvaluation:
             for low, high in itertools.pairwise(SPEED_EDGES_MM_S)
             for part in [keep & (speed >= low) & (speed < high)]
         ),
+        turn=TurnScore.of(data, estimates),
     )
 
 

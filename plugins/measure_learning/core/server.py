@@ -127,9 +127,12 @@ class EstimateServer:
         reason = None if math.isfinite(packet.time_s) else Refusal.NOT_A_NUMBER
         if reason is None and sender not in self._histories:  # else its history checks the state
             reason = unfit(self._model, packet.state, packet.time_s)
+        answer: Correction | Refusal
         if reason is not None:
-            return AnswerPacket(packet.sequence, packet.time_s, self.counters.refuse(reason))
-        return AnswerPacket(packet.sequence, packet.time_s, self._corrected(packet, sender))
+            answer = self.counters.refuse(reason)
+        else:
+            answer = self._corrected(packet, sender)
+        return AnswerPacket(packet.sequence, packet.time_s, answer, packet.turn)
 
     def _measured(self, true: TruePacket, sender: Sender) -> AnswerPacket:
         """A true position moves the offsets of its sender."""
@@ -187,16 +190,23 @@ class EstimateServer:
 class EstimateClient:
     """Sends states and receives estimates; one in flight at a time is enough for 1 kHz."""
 
-    def __init__(self, address: tuple[str, int] = DEFAULT_ADDRESS, timeout_s: float = 0.5) -> None:
+    def __init__(
+        self,
+        address: tuple[str, int] = DEFAULT_ADDRESS,
+        timeout_s: float = 0.5,
+        *,
+        turn: bool = False,
+    ) -> None:
+        """With `turn`, answers hold the error of the tip's rotation, too, if the model has it."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(timeout_s)
         self._socket.connect(address)
-        self._sequence = -1
+        self._sequence, self._turn = -1, turn
 
     def ask(self, state: Floats, time_s: float) -> AnswerPacket | None:
         """Send the next state and wait for its own answer; None if that did not come in time."""
         self._sequence += 1
-        self.send(StatePacket(self._sequence, time_s, state).pack())
+        self.send(StatePacket(self._sequence, time_s, state, self._turn).pack())
         while True:
             answer = self.receive()
             if answer is None or answer.sequence == self._sequence:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from measure.errors import EstimatorError
 from measure.host import Dataset
-from measure.host.dataset import recording_of
+from measure.host.dataset import Turns, recording_of
 from measure_learning.onnx import OnnxModel
 
 _MIN_RECORDINGS = 3  # from which on whole recordings are kept for validation and test
@@ -103,7 +103,7 @@ def join(parts: Sequence[Dataset]) -> Dataset:
         twice = next(name for name in names if names.count(name) > 1)
         raise EstimatorError(f"two recordings are called '{twice}': rename one")
     shifts = np.cumsum([0, *(len(part.names) for part in parts[:-1])])
-    return Dataset(
+    joined = Dataset(
         parts[0].schema,
         np.concatenate([part.states for part in parts]),
         np.concatenate([part.times_s for part in parts]),
@@ -113,6 +113,11 @@ def join(parts: Sequence[Dataset]) -> Dataset:
         np.concatenate([part.covariances for part in parts]),
         np.concatenate([part.usable for part in parts]),
     )
+    if all(part.turns is None for part in parts):
+        return joined
+    each = [part.turns or Turns.unknown(len(part)) for part in parts]
+    vectors, spreads = (np.concatenate([getattr(t, f.name) for t in each]) for f in fields(Turns))
+    return replace(joined, turns=Turns(vectors, spreads))
 
 
 def same_robot(parts: Sequence[Dataset]) -> None:

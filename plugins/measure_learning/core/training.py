@@ -88,7 +88,7 @@ def _save(estimator: Estimator, split: Split, out: Path, card: dict[str, Any]) -
     card |= {"scores": asdict(evaluation)}
     _write(estimator, out, card)  # the same network, now with its scores inside
     features = [[feature.name, feature.unit] for feature in split.train.schema.features]
-    said = contract(len(model.features), model.memory_size, model.period_s)
+    said = contract(len(model.features), model.memory_size, model.period_s, turns=model.turns)
     curve = [asdict(line) for line in estimator.curve]
     full = card | {"features": features, "contract": said, "curve": curve}
     full |= {"findings": list(estimator.findings)}
@@ -166,6 +166,7 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
         "promise": promise(left_out and LeftOut(**left_out)),
         "said_turns": _turns(left_out),
         "times": scores["consistency"] ** 0.5,
+        "said_turn": _turn(scores.get("turn")),
         "trajectory_rows": _rows((n, b, a) for n, (b, a) in scores["by_trajectory"].items()),
         "speed_rows": _rows(speeds),
         "said_findings": "\n".join(
@@ -184,6 +185,16 @@ def _rows(scored: Iterable[tuple[str, Any, Any]]) -> str:
     return "\n".join(
         f"| {name} | {b['rows']} | {b['rms_mm']:.3f} | {a['rms_mm']:.3f} |" for name, b, a in scored
     )
+
+
+def _turn(score: Mapping[str, Any] | None) -> str:
+    """What becomes of the rotation; nothing where it is not corrected."""
+    if score is None:
+        return ""
+    return (
+        "Rotation of the tip, {rows} labels: {before_deg:.3f} deg RMS as reported, {after_deg:.3f} "
+        "corrected; {inside_95:.1%} in the stated 95 % region.\n\n"
+    ).format(**score)
 
 
 def _turns(left_out: Mapping[str, Any] | None) -> str:

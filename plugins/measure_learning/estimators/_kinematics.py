@@ -1,6 +1,7 @@
 """From joint errors to tip errors through the forward kinematics: by slopes, in torch, in ONNX.
 
 An estimator's outputs are errors of the joints where the chain is known, and a direct tip error.
+The tip error is that of the rotation, times a lever, where the chain is a `TurnChain`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from measure.arrays import Floats
 from measure.host import Dataset
 from measure.robots import SerialChain, StateSchema
 from measure_learning.onnx import Graph, Value
+from measure_learning.onnx.rotation import LEVER_MM, TurnChain
 
 
 def levers(data: Dataset) -> tuple[Floats, Floats]:
@@ -32,20 +34,23 @@ def tip_slopes(data: Dataset) -> Floats:
     shift = np.tile(np.eye(3), (len(data), 1, 1))
     if (chain := data.schema.chain) is None:
         return shift
-    return np.concatenate([chain.jacobian(data.joints)[:, :3], shift], axis=2)
+    slopes = chain.jacobian(data.joints)
+    moved = LEVER_MM * slopes[:, 3:] if isinstance(chain, TurnChain) else slopes[:, :3]
+    return np.concatenate([moved, shift], axis=2)
 
 
 class TorchTip:
-    """`tip(q)` (N, 3) of a chain, differentiable, in float32."""
+    """`tip(q)` of a chain, its place or its rotation's axes, differentiable, in float32."""
 
     def __init__(self, chain: SerialChain) -> None:
         import torch
 
         self._torch = torch
         self._parts = [torch.tensor(part, dtype=torch.float32) for part in chain.parts]
+        self._turns = isinstance(chain, TurnChain)
 
     def __call__(self, q: Any) -> Any:
-        """Q (..., joints) in rad and mm -> (..., 3) mm."""
+        """Q (..., joints) in rad and mm -> (..., 3) mm, or axes (..., 3, 3) of a `TurnChain`."""
         constant, cosine, sine, linear = self._parts
         angle = q[..., None, None]
         steps = (
@@ -54,10 +59,17 @@ class TorchTip:
             + sine * self._torch.sin(angle)
             + linear * angle
         )
-        point = steps[..., -1, :, 3:]
+        point = steps[..., -1, :, :3] if self._turns else steps[..., -1, :, 3:]
         for index in range(q.shape[-1] - 2, -1, -1):
             point = steps[..., index, :, :] @ point
-        return point[..., :3, 0]
+        return point[..., :3, :] if self._turns else point[..., :3, 0]
+
+    def change(self, tip: Any, before: Any) -> Any:
+        """What labels measure (..., 3) mm, from the tip `before` to another."""
+        if not self._turns:
+            return tip - before
+        sines = 0.5 * self._torch.linalg.cross(before, tip, dim=-2).sum(dim=-1)
+        return LEVER_MM * sines * (1.0 + (sines**2).sum(dim=-1, keepdim=True) / 6.0)
 
 
 def tip_error(graph: Graph, schema: StateSchema, features: Value, outputs: Value) -> Value:
@@ -75,7 +87,7 @@ def tip_change(graph: Graph, schema: StateSchema, features: Value, joint_errors:
     q = graph.op("MatMul", features, schema.reading_matrix(schema.joints))
     pair = graph.op("Concat", graph.op("Add", q, joint_errors), q, axis=1)
     angle = graph.reshape(pair, -1, schema.chain.size, 1, 1)
-    return _between(graph, schema.chain.parts, angle)
+    return _between(graph, schema.chain, schema.chain.parts, angle)
 
 
 def chain_change(graph: Graph, schema: StateSchema, features: Value, bent: SerialChain) -> Value:
@@ -84,10 +96,10 @@ def chain_change(graph: Graph, schema: StateSchema, features: Value, bent: Seria
     q = graph.op("MatMul", features, schema.reading_matrix(schema.joints))
     angle = graph.reshape(q, -1, 1, schema.chain.size, 1, 1)
     pairs = zip(bent.parts, schema.chain.parts, strict=True)
-    return _between(graph, tuple(np.stack(pair) for pair in pairs), angle)
+    return _between(graph, schema.chain, tuple(np.stack(pair) for pair in pairs), angle)
 
 
-def _between(graph: Graph, parts: tuple[Floats, ...], angle: Value) -> Value:
+def _between(graph: Graph, chain: SerialChain, parts: tuple[Floats, ...], angle: Value) -> Value:
     """First minus second tip (N, 3) of pairs of chains, whose angles are (..., joints, 1, 1)."""
     constant, cosine, sine, linear = parts
     steps = graph.op("Add", graph.op("Mul", graph.op("Cos", angle), cosine), constant)
@@ -95,10 +107,30 @@ def _between(graph: Graph, parts: tuple[Floats, ...], angle: Value) -> Value:
     if np.any(linear):
         steps = graph.op("Add", steps, graph.op("Mul", angle, linear))
     each = graph.ops("Split", constant.shape[-3], steps, axis=-3)
-    point = graph.op("Slice", each[-1], *(graph.constant([v], np.int64) for v in (3, 4, -1)))
+    first = 0 if (turns := isinstance(chain, TurnChain)) else 3
+    ends = (first, first + 3 if turns else 4, -1)
+    point = graph.op("Slice", each[-1], *(graph.constant([v], np.int64) for v in ends))
     for step in reversed(each[:-1]):
         point = graph.op("MatMul", step, point)
+    if turns:
+        return _turn_between(graph, graph.reshape(point, -1, 2, 4, 3))
     # (2N, 1, 4, 1) or (N, 2, 1, 4, 1) -> (N, 8): x y z 1 of both
     return graph.op(
         "MatMul", graph.reshape(point, -1, 8), np.concatenate([np.eye(4, 3), -np.eye(4, 3)])
     )
+
+
+def _turn_between(graph: Graph, axes: Value) -> Value:
+    """Rotation vector (N, 3), times the lever, of the first of axes (N, 2, 4, 3) from the second.
+
+    Its sine is half the sum of the axes' cross products; an arc sine's first two terms are enough.
+    """
+    now, before = graph.ops("Split", 2, axes, axis=1)
+    turned = graph.op("MatMul", now, graph.op("Transpose", before, perm=[0, 1, 3, 2]))
+    picked = np.zeros((4, 4, 3))
+    for axis, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+        picked[i, j, axis], picked[j, i, axis] = 0.5, -0.5
+    sines = graph.op("MatMul", graph.reshape(turned, -1, 16), picked.reshape(16, 3))
+    square = graph.op("ReduceSumSquare", sines, axes=[1], keepdims=1)
+    stretch = graph.affine(square, np.array([[LEVER_MM / 6.0]]), LEVER_MM)
+    return graph.op("Mul", sines, stretch)

@@ -122,7 +122,7 @@ class Targets:
         scaled = out * self._scale
         if self._tip is None or self._base is None:
             return scaled - self._labels[rows]
-        moved = self._tip(self._q[rows] + scaled[..., :-3]) - self._base[rows]
+        moved = self._tip.change(self._tip(self._q[rows] + scaled[..., :-3]), self._base[rows])
         return moved + scaled[..., -3:] - self._labels[rows]
 
 

@@ -13,10 +13,12 @@ import numpy as np
 from measure import host
 from measure.arrays import Floats
 from measure.errors import EstimatorError
+from measure.geometry import RigidTransform
 from measure.robots import SerialChain
 from measure_learning import onnx
 from measure_learning.estimators._inputs import WithinTrajectoryEstimator
 from measure_learning.estimators._kinematics import chain_change
+from measure_learning.onnx.rotation import LEVER_MM, TurnChain, turn_errors
 from measure_learning.robots.links import (
     TURNS,
     LinkEffects,
@@ -59,7 +61,7 @@ class KinematicEstimator(WithinTrajectoryEstimator):
                 f"'kinematic' needs the robot's kinematics, and those of {data.schema.robot} are "
                 "not known: describe its joints with alpha_deg in robot.toml, or give a .urdf"
             )
-        used, size = data.usable, 6 * chain.size
+        used, size, turns = data.usable, 6 * chain.size, isinstance(chain, TurnChain)
         if (least := 2 * (3 + size) // 3) > used.sum():
             raise EstimatorError(
                 f"'kinematic' fits {3 + size} numbers to {used.sum()} labels: at least {least} are "
@@ -71,10 +73,11 @@ class KinematicEstimator(WithinTrajectoryEstimator):
         found = LinkEffects(x, x, usual_sd(size), 1.0)
         for step in range(_STEPS):
             bent = _bent(chain, x)
-            slopes = np.concatenate(
-                [bent.pose(q).rotation @ bent.tool[:3, :3].T, link_jacobian(bent, q)[:, :3]], axis=2
-            )
-            left = labels - (bent.tip_mm(q) - chain.tip_mm(q))
+            by_links = link_jacobian(bent, q)
+            by_links = LEVER_MM * by_links[:, 3:] if turns else by_links[:, :3]
+            tip = bent.pose(q).rotation @ bent.tool[:3, :3].T
+            slopes = np.concatenate([LEVER_MM * tip if turns else tip, by_links], axis=2)
+            left = labels - _difference(bent, chain, q)
             S = np.linalg.solve(roots, slopes).reshape(-1, len(x))
             r = np.linalg.solve(roots, left[..., None]).ravel()
             normal = S.T @ S, S.T @ r, float(r @ r), len(r)
@@ -102,10 +105,23 @@ class KinematicEstimator(WithinTrajectoryEstimator):
         return ("Errors of tip and links, in the frame of the joint that follows:", *lines)
 
 
+def _difference(bent: SerialChain, chain: SerialChain, q: Floats) -> Floats:
+    """What labels (n, 3) of a bent chain would be."""
+    if isinstance(chain, TurnChain):
+        return LEVER_MM * turn_errors(bent.pose(q).rotation, chain.pose(q).rotation)
+    return bent.tip_mm(q) - chain.tip_mm(q)
+
+
 def _bent(chain: SerialChain, x: Floats) -> SerialChain:
-    """The chain with its tip off by x[:3] in the last joint's frame, and its links by the rest."""
+    """The chain with its tip off by x[:3] in the last joint's frame, and its links by the rest.
+
+    The tip of a `TurnChain` is off by a rotation.
+    """
     tool = chain.tool.copy()
-    tool[:3, 3] += x[:3]
+    if isinstance(chain, TurnChain):
+        tool[:3, :3] = RigidTransform.from_rotvec(x[:3]).rotation @ tool[:3, :3]
+    else:
+        tool[:3, 3] += x[:3]
     return replace(with_link_errors(chain, x[3:]), tool=tool)
 
 

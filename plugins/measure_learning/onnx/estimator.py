@@ -28,9 +28,11 @@ from measure_learning.onnx.judging import (
     doubts_in_graph,
 )
 from measure_learning.onnx.model import FORMAT, OnnxModel, contract
+from measure_learning.onnx.rotation import LEVER_MM, turns_as_errors
 
 _MAX_CORRECTION_MM = 1e6  # larger corrections mean a diverged fit
 _MIN_LABELS = 10
+_LEAST_GAIN = 0.98  # of the rotation's RMS that may be left where it is worth correcting
 _END = 2**31 - 1  # of a slice: all that follows
 
 
@@ -45,6 +47,17 @@ class Core:
     memory_size: int = 0  # S
 
 
+@dataclass(frozen=True, eq=False)
+class _Outputs:
+    """Of an estimator with all that judges it."""
+
+    error: Value  # (N, 3) mm
+    covariance: Value  # (N, 9) mm^2
+    strangeness: Value  # (N, 1)
+    memory: Value  # (N, S), the new memory
+    memory_size: int  # S, may be 0
+
+
 class OnnxEstimator(Estimator):
     """An estimator whose plugin implements `learn` and `compute`.
 
@@ -55,6 +68,10 @@ class OnnxEstimator(Estimator):
     Mahalanobis, and in how far the joints moved lately, unless memoryless), times what tells
     residuals of one recording apart: that distance, the spread that `compute` states, and the
     square of the correction.
+
+    Where labels hold the tip's rotation, another of its kind, by the settings of `draft`, learns
+    the rotation's errors (see `turns_as_errors`), and becomes part of the same graph if it leaves
+    less of them than there is.
 
     Attributes:
         memoryless: whether a correction depends on the present state alone.
@@ -71,6 +88,7 @@ class OnnxEstimator(Estimator):
         self._trust = UNJUDGED
         self._offset_sd_mm: float | None = None
         self._model: OnnxModel | None = None
+        self._turning: OnnxEstimator | None = None
 
     @abstractmethod
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
@@ -102,6 +120,16 @@ class OnnxEstimator(Estimator):
         EstimatorError: the data cannot be learnt from. DivergedError: corrections are not finite,
         or of kilometres.
         """
+        self._turning, self.findings = None, ()
+        turns = [turns_as_errors(part) for part in (data, validation)]
+        known = [part for part in turns if part and part.usable.sum() >= _MIN_LABELS]
+        fits = 2 if known[1:] else 1
+        self._fit(data, validation, seed=seed, report=_part(report, 0, fits))
+        if known[1:]:
+            self._fit_turns(*known, seed=seed, report=_part(report, 1, fits, "rotation, "))
+        self._model = OnnxModel(self._build({}))
+
+    def _fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         _check_data(data, validation)
         groups = data.recording_groups(self.folds, _MIN_LABELS)
         fits = len(groups) + 1
@@ -119,7 +147,21 @@ class OnnxEstimator(Estimator):
         before, after = found.rms_mm()
         turns = found.in_turn() if groups else ()
         self.left_out = LeftOut(len(data.recordings()), len(groups), before, after, turns)
-        self._model = OnnxModel(self._build({}))
+
+    def _fit_turns(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
+        """Learn the rotation's errors beside those of the position, if that is of use."""
+        twin = OnnxEstimator._twin(self)
+        twin.folds = self.folds
+        twin.checkpoint = self.checkpoint and self.checkpoint / "rotation"
+        twin._fit(data, validation, seed=seed, report=report)  # noqa: SLF001 - its class
+        left = twin.left_out
+        assert left is not None
+        deg = [np.degrees(mm / LEVER_MM) for mm in (left.before_mm, left.after_mm)]
+        use = deg[1] < _LEAST_GAIN * deg[0]
+        self._turning = twin if use else None
+        where = f"{left.groups} groups of recordings left out" if left.groups else "validation"
+        said = f"rotation of the tip, {where}: {deg[0]:.3f} deg RMS become {deg[1]:.3f}"
+        self.findings += (said if use else f"{said}: it is not corrected",)
 
     def _left_out(
         self, held: Sequence[str], data: Dataset, validation: Dataset, *, seed: int, report: Report
@@ -136,7 +178,7 @@ class OnnxEstimator(Estimator):
         )
         left = data.select(held)
         too_few = other.usable.sum() < _MIN_LABELS
-        twin.fit(rest, left if too_few else other, seed=seed, report=report)
+        twin._fit(rest, left if too_few else other, seed=seed, report=report)  # noqa: SLF001
         return twin._judge(left)  # noqa: SLF001 - of its own class
 
     def _twin(self) -> Self:
@@ -208,11 +250,40 @@ class OnnxEstimator(Estimator):
     def _build(self, card: Mapping[str, Any], *, judging: bool = False) -> bytes:
         assert self._schema is not None
         graph = Graph()
-        memory, nothing = "memory", graph.op("Mul", "tick", np.float32(0.0))
-        own, travel = None, nothing
+        if (turning := self._turning) is None:
+            made, turned = self._whole(graph, "memory", judging=judging), {}
+            memory, size = made.memory, made.memory_size
+        else:
+            size = self._whole(Graph(), "memory").memory_size
+            made = self._whole(graph, _slice(graph, "memory", 0, size))
+            other = turning._whole(graph, _slice(graph, "memory", size, _END))  # noqa: SLF001
+            memory, size = made.memory, size + other.memory_size
+            if size:
+                memory = graph.op("Concat", memory, other.memory, axis=1)
+            rad = graph.op("Mul", other.error, np.float32(1.0 / LEVER_MM))
+            rad2 = graph.op("Mul", other.covariance, np.float32(1.0 / LEVER_MM**2))
+            turned = {"turn_rad": (rad, (3,)), "turn_covariance": (rad2, (9,))}
+        size = max(size, 1)
+        return graph.build(
+            {"features": len(self._schema.features), "memory": size, "tick": 1},
+            {
+                "error_mm": (made.error, (3,)),
+                "covariance": (made.covariance, (9,)),
+                "strangeness": (made.strangeness, (1,)),
+                "memory_out": (memory, (size,)),
+                **turned,
+            },
+            {"measure": self._facts(size), "card": dict(card)},
+            contract(len(self._schema.features), size, self._period_s, turns=bool(turned)),
+        )
+
+    def _whole(self, graph: Graph, given: Value, *, judging: bool = False) -> _Outputs:
+        """Add all of this estimator, with its covariance, whose memory is `given`."""
+        memory, nothing = given, graph.op("Mul", "tick", np.float32(0.0))
+        own, travel, size = None, nothing, 0
         if self._travel is not None:
-            own = _slice(graph, "memory", 0, self._travel.size)
-            memory = _slice(graph, "memory", self._travel.size, _END)
+            size = self._travel.size
+            own, memory = _slice(graph, given, 0, size), _slice(graph, given, size, _END)
             travel, own = self._travel.in_graph(graph, "features", own, "tick")
         core = self._compute(graph, "features", memory, "tick")
         farther = graph.op("Max", *self._novelty.in_graph(graph, "features"), travel)
@@ -223,20 +294,8 @@ class OnnxEstimator(Estimator):
         else:
             covariance = self._trust.covariance(graph, doubts)
         parts = [part for part in (own, core.memory) if part is not None]
-        memory_out = graph.op("Concat", *parts, axis=1) if parts else nothing
-        size = max(core.memory_size + (0 if self._travel is None else self._travel.size), 1)
-        facts = self._facts(size)
-        return graph.build(
-            {"features": len(self._schema.features), "memory": size, "tick": 1},
-            {
-                "error_mm": (core.error, (3,)),
-                "covariance": (covariance, (9,)),
-                "strangeness": (strangeness, (1,)),
-                "memory_out": (memory_out, (size,)),
-            },
-            {"measure": facts, "card": dict(card)},
-            contract(len(self._schema.features), size, self._period_s),
-        )
+        after = graph.op("Concat", *parts, axis=1) if parts else nothing
+        return _Outputs(core.error, covariance, strangeness, after, size + core.memory_size)
 
     def _facts(self, memory: int) -> dict[str, Any]:
         """The metadata `measure`, see `measure_learning.onnx.model`."""

@@ -18,7 +18,7 @@ from __future__ import annotations
 import copy
 import json
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,7 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.host.dataset import Dataset
+from measure.host.dataset import Dataset, Turns
 from measure.host.estimator import Correction
 from measure.host.settings import explain_validation
 from measure.reading import read_bytes
@@ -38,8 +38,14 @@ FORMAT = 1
 _MAX_MEMORY = 1_000_000
 
 
-def contract(features: int, memory: int, period_s: float) -> str:
+def contract(features: int, memory: int, period_s: float, *, turns: bool = False) -> str:
     """How any ONNX runtime runs a model, for its card and the file itself."""
+    said = (
+        " `turn_rad` (N, 3), a rotation vector in the base frame, rad, to be applied after the "
+        "reported rotation; `turn_covariance` (N, 9), of that, rad^2."
+        if turns
+        else ""
+    )
     return (
         f"Inputs, float32: `features` (N, {features}), a raw state of each of N robots; `memory` "
         f"(N, {memory}), zeros when a trajectory begins, later the last `memory_out`; `tick` "
@@ -47,8 +53,8 @@ def contract(features: int, memory: int, period_s: float) -> str:
         f"`period_s`, {period_s:g} s) after the last with a 1, else 0. Outputs: `error_mm` (N, 3), "
         "to be added to the reported tip; `covariance` (N, 9), of that error, row by row, mm^2; "
         "`strangeness` (N, 1), above 1 or NaN for a state unlike the training; `memory_out` "
-        f"(N, {memory}). Use one thread. Metadata, as JSON: `measure` (robot, features, units) and "
-        "`card`."
+        f"(N, {memory}).{said} Use one thread. Metadata, as JSON: `measure` (robot, features, "
+        "units) and `card`."
     )
 
 
@@ -115,6 +121,7 @@ def read_metadata(key: str, text: str, where: str) -> dict[str, Any]:
 
 _MAX_BYTES = 256 << 20
 _OUTPUTS = ("error_mm", "covariance", "strangeness", "memory_out")
+_TURNS = ("turn_rad", "turn_covariance")
 _TICKS = (np.zeros((1, 1), dtype=np.float32), np.ones((1, 1), dtype=np.float32))
 
 
@@ -125,6 +132,7 @@ class Estimates:
     errors_mm: Floats  # (n, 3) measured minus reported position
     covariances: Floats  # (n, 3, 3) of the errors, in mm^2
     strangeness: Floats  # (n,) above 1 where the state is unlike the training data
+    turns: Turns | None = None  # (n,) of the tip's rotation, where that was learnt
 
 
 def _schema(facts: dict[str, Any], where: str) -> StateSchema:
@@ -163,6 +171,8 @@ class OnnxModel:
             )
         self.facts = read_metadata("measure", texts["measure"], where)
         self.card = read_metadata("card", texts.get("card", "{}"), where)
+        self.turns = _TURNS[0] in (one.name for one in self._session.get_outputs())
+        self._outputs = _OUTPUTS + _TURNS if self.turns else _OUTPUTS
         self._check_tensors(where)
         self.where = where
         self.schema = _schema(self.facts, where)
@@ -175,7 +185,7 @@ class OnnxModel:
         """Refuse a graph whose inputs and outputs are not those that its metadata promise."""
         memory = self.facts["memory"]
         inputs = {"features": len(self.facts["features"]), "memory": memory, "tick": 1}
-        outputs = dict(zip(_OUTPUTS, (3, 9, 1, memory), strict=True))
+        outputs = dict(zip(self._outputs, (3, 9, 1, memory, 3, 9), strict=False))
         for wanted, there in (
             (inputs, self._session.get_inputs()),
             (outputs, self._session.get_outputs()),
@@ -240,21 +250,27 @@ class OnnxModel:
             )
         found, self._memory = self.step(row, self._memory, _TICKS[due])
         familiar = bool(found.strangeness[0] <= 1.0)  # NaN is unfamiliar too
-        return Correction(found.errors_mm[0], found.covariances[0], not familiar)
+        turn = found.turns and found.turns[0]
+        return Correction(found.errors_mm[0], found.covariances[0], not familiar, turn)
 
     def step(self, states: Any, memory: Any, tick: Any) -> tuple[Estimates, Any]:
         """One step of N independent trajectories."""
-        error, covariance, strangeness, after = self._session.run(
-            _OUTPUTS, {"features": states, "memory": memory, "tick": tick}
+        error, covariance, strangeness, after, *turns = self._session.run(
+            self._outputs, {"features": states, "memory": memory, "tick": tick}
         )
         numbers = (error, covariance.reshape(-1, 3, 3), strangeness[:, 0])
-        return Estimates(*(one.astype(np.float64) for one in numbers)), after
+        found = Estimates(*(one.astype(np.float64) for one in numbers))
+        if turns:
+            vectors, spread = (one.astype(np.float64) for one in turns)
+            found = replace(found, turns=Turns(vectors, spread.reshape(-1, 3, 3)))
+        return found, after
 
     def predict(self, data: Dataset) -> Estimates:
         """Corrections of all rows, every trajectory from a fresh start, as `update` gives them."""
         self.check(data.schema)
         count = len(data)
-        out = Estimates(np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count))
+        turns = Turns.unknown(count) if self.turns else None
+        out = Estimates(np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count), turns)
         if self.facts["memoryless"]:
             for start in range(0, count, 4096):
                 rows = np.arange(start, min(start + 4096, count))
@@ -270,6 +286,8 @@ class OnnxModel:
         part, memory = self.step(states, memory, tick[:, None].astype(np.float32))
         out.errors_mm[rows], out.covariances[rows] = part.errors_mm, part.covariances
         out.strangeness[rows] = part.strangeness
+        if out.turns is not None and part.turns is not None:
+            out.turns[rows] = part.turns
         return memory
 
     def _predict_runs(self, out: Estimates, data: Dataset) -> None:
