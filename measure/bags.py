@@ -17,7 +17,6 @@ from measure.reading import check_ordinary, missing_message
 _MCAP = b"\x89MCAP0\r\n"
 _KINDS = {_MCAP: ".mcap", b"#ROSBAG V": ".bag", b"SQLite format 3\x00": ".db3"}
 """What a bag begins with, and what its name then ends with, by which `rosbags` knows it."""
-_HEAD_BYTES = 16
 _FOOTER = struct.pack("<BQQQL", 0x02, 20, 0, 0, 0) + _MCAP
 """Of an MCAP file without a summary: https://mcap.dev/spec."""
 _CHUNK, _DATA_END = 0x06, 0x0F
@@ -45,7 +44,7 @@ def split_topic(address: Path | str) -> tuple[Path, str | None]:
 def _kind(path: Path) -> str | None:
     try:
         with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
+            head = file.read(max(map(len, _KINDS)))
     except OSError:
         return None
     return next((ending for start, ending in _KINDS.items() if head.startswith(start)), None)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 MAX_STEPS = 50
 """Of an iteration that ends by itself: where it takes so many, it does not converge."""
+SETTLED = 1e-8
+"""Steps of an iteration, in mm and rad, that end it."""
 TINY = 1e-12
 """Keeps zero out of divisions, roots and logarithms."""
 SINGULAR = 1e-9
@@ -29,5 +31,13 @@ PATIENCE_S = 60.0
 """How long another program, or what compiles, may take to answer."""
 LEVER_MM = 100.0
 """A turn counts as what it moves at this distance."""
+FEWEST = 10
+"""Poses, frame sets or states: fewer do not tell how much they scatter."""
+SPREAD_OVER = 24
+"""Instants, evenly spread over a recording, that stand for all of it."""
+AT_ONCE = 4096
+"""Rows or points worked on together: arrays stay small."""
+MOST_LETTERS = 100
+"""Characters that a message shows of what others wrote."""
 MOST_LISTED = 10
 """Things of one kind that a message names; of more it says how many."""

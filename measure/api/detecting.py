@@ -218,10 +218,8 @@ def draw(seen: Iterable[SeenPicture], drawn: Iterable[Path]) -> None:
             write_outlines(one.shown(), one.detections, one.outlines_px, fresh)
 
 
-_PATCH_PX, _INSIDE = 3, 0.8
+PATCH_PX, _INSIDE = 3, 0.8
 """Half side of the patch about a click; share of an outline's radius inside which is sampled."""
-_SIMILAR_HUE, _SIMILAR_LEVEL = 8, 50
-"""By how much pixels of a ball may exceed the range of the patch, see `BallColor.from_samples`."""
 _FEWEST, _MOST = 30, 24
 """Fewest pixels of a ball that are sampled, and how many samples are written."""
 _ROUND_SHARE = 0.65
@@ -281,9 +279,9 @@ def sampled_color(pixels: Bytes, ball: model.Ball, at: tuple[float, float]) -> S
     height, width = pixels.shape[:2]
     if not (0 <= u < width and 0 <= v < height):
         raise ConfigError(f"{where}: lies outside the picture of {width}x{height}")
-    rows = slice(max(v - _PATCH_PX, 0), v + _PATCH_PX + 1)
-    patch = pixels[rows, max(u - _PATCH_PX, 0) : u + _PATCH_PX + 1].reshape(-1, 3)
-    mask = model.BallColor.from_samples(patch, _SIMILAR_HUE, _SIMILAR_LEVEL).mask(pixels)
+    rows = slice(max(v - PATCH_PX, 0), v + PATCH_PX + 1)
+    patch = pixels[rows, max(u - PATCH_PX, 0) : u + PATCH_PX + 1].reshape(-1, 3)
+    mask = model.BallColor.from_samples(patch, hue_margin=8, level_margin=50).mask(pixels)
     _, labels = cv2.connectedComponents(mask)
     inside = (labels == labels[v, u]) & (mask > 0)
     found = np.asarray(pixels[inside])

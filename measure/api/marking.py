@@ -13,7 +13,7 @@ from typing import Literal, get_args
 import cv2
 import numpy as np
 
-from measure.api.detecting import detect
+from measure.api.detecting import PATCH_PX, detect
 from measure.api.folders import inside, named_pictures, pictures_of, write_named
 from measure.api.profiles import load_profile
 from measure.arrays import Bytes, Floats
@@ -34,7 +34,6 @@ MARK_KINDS: tuple[MarkKind, ...] = get_args(MarkKind)
 TAG_FAMILIES = ("APRILTAG_36H11", "4X4_100", "5X5_100", "6X6_250")
 _CAPTURE = "capture.toml"
 _REACH_PX = 25.0  # How far from a click the middle of what is meant may be
-_CORNER_HALF_PX = 3  # Of the window about a corner: its own edges, and nothing beside them
 
 
 @dataclass(frozen=True)
@@ -59,11 +58,11 @@ def refined_mark(
         gray = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
         corner = at.astype(np.float32).reshape(1, 1, 2)
         end = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3
-        size = _CORNER_HALF_PX, _CORNER_HALF_PX
+        size = PATCH_PX, PATCH_PX
         found = cv2.cornerSubPix(gray, corner.copy(), size, (-1, -1), end)
         place = np.asarray(found, np.float64).ravel()
         moved = bool(np.any(place != corner.ravel()))
-        return _mark(place) if moved and np.linalg.norm(place - at) < _CORNER_HALF_PX else None
+        return _mark(place) if moved and np.linalg.norm(place - at) < PATCH_PX else None
     if kind == "as clicked":
         return None
     light = patterns.linear_light(pixels)
@@ -190,7 +189,7 @@ class Marking:
             raise ConfigError("which marker is it? give its name or number first")
         found = refined_mark(self._pixels(camera), at_px, kind, self._lenses[camera])
         if found is None and kind != "as clicked":
-            reach_px = _CORNER_HALF_PX if kind == "corner" else _REACH_PX
+            reach_px = PATCH_PX if kind == "corner" else _REACH_PX
             raise ConfigError(
                 f"{camera}: no {kind} within {reach_px:g} px of the click: nothing was marked for "
                 f"{name}; click its middle, or choose "

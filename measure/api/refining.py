@@ -25,6 +25,7 @@ from measure.checking.unknown_body import PALETTES, SeenBall, find_layout, locat
 from measure.errors import CalibrationError, ConfigError
 from measure.geometry import RigidTransform, align_points
 from measure.host import Registry
+from measure.limits import SPREAD_OVER
 from measure.measuring import Measurement, Profile
 from measure.measuring.association import associate
 from measure.model import Body, Detection
@@ -151,7 +152,6 @@ def _provenance(session: str, rig: RefinedRig) -> dict[str, object]:
     }
 
 
-_SEARCHED = 24  # Frame sets, spread over the recording, in which whole pictures are searched
 _ROUGH_MM, _FREE_MM = 0.5, 5.0
 """Standard deviations of a ball's centre: by the search alone, and while it is adjusted."""
 
@@ -235,7 +235,7 @@ def _searched(
     """The balls located in frame sets spread over the recording, by whole pictures."""
     searches = [build_detectors(profile, registry, body, session.cameras) for body in probes]
     total = len(session.pair().times_s)
-    chosen = np.unique(np.linspace(0, total - 1, min(_SEARCHED, total)).round().astype(int))
+    chosen = np.unique(np.linspace(0, total - 1, min(SPREAD_OVER, total)).round().astype(int))
     for done, (_, found) in enumerate(search_frame_sets(session, searches, chosen.tolist()), 1):
         located: dict[str, SeenBall] = {}
         for body, seen in zip(probes, found, strict=True):

@@ -28,7 +28,6 @@ from measure.session.timestamps import add_time_offsets
 
 _FINE_SETS, _FINE_PASSES = 120, 2
 """Frame sets measured to compare the clocks, and how often: images are then paired anew."""
-_LONG_S, _COARSE_STEP_S, _FINE_STEP_S = 5.0, 0.02, 0.01
 _IMAGE_STEP_S = 1 / 40
 """Images closer in time than this are passed over: balls do not move in between."""
 
@@ -62,7 +61,7 @@ def find_offsets(
 
     with ThreadPoolExecutor(len(session.cameras)) as pool:
         seen = list(pool.map(tracks, session.cameras))
-    step_s = _COARSE_STEP_S if largest_s > _LONG_S else _FINE_STEP_S
+    step_s = 0.02 if largest_s > 5 else 0.01
     return synchronise(seen, largest_s, step_s)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats, Ints, rms_length
 from measure.errors import CalibrationError
 
-_CHARUCO_MIN_CORNERS = 6
+MIN_POINTS = 6  # Places from which a pose is found without knowing any
 _LOOK_SIDES_PX = (640, 960)
 """Longer sides of the pictures in which chessboards are looked for. In the first, at a tenth of the
 time of all pixels, squares of 15 px of a 720p picture are found; in the second those of 10."""
@@ -257,7 +257,7 @@ class Charuco(Board):
         picture = np.asarray(255 - gray if self.inverted else gray, dtype=np.uint8)
         parameters = cv2.aruco.CharucoParameters()
         pixels, ids, _, _ = cv2.aruco.CharucoDetector(self.pattern, parameters).detectBoard(picture)
-        if ids is None or np.size(ids) < _CHARUCO_MIN_CORNERS:
+        if ids is None or np.size(ids) < MIN_POINTS:
             return None
         numbers = np.asarray(ids, dtype=np.int64).reshape(-1)
         if np.any(np.ptp(self.points[numbers, :2], axis=0) == 0):  # one row tells no pose

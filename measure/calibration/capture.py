@@ -16,14 +16,12 @@ from measure.bags import is_bag, split_topic
 from measure.calibration.boards import Board
 from measure.calibration.markers import MarkerKind
 from measure.calibration.targets import MarkerField, Tolerance, read_board, read_markers, read_marks
+from measure.calibration.views import MAX_VIEWS
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Intrinsics, Projection
 
 _VIDEO_ENDINGS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
-_VIDEO_FRAMES = 80
-"""Least frames read of a video, every 1st, 2nd, 4th ...: powers of two, so that videos of slightly
-different lengths have frames in common."""
 
 
 class CaptureTable(session.FileModel):
@@ -132,7 +130,8 @@ class Capture:
 def _video(camera: str, path: Path) -> Iterator[tuple[str, Bytes]]:
     stream = session.open_video_stream(camera, path)
     try:
-        step = 2 ** max(0, (len(stream) // _VIDEO_FRAMES).bit_length() - 1)
+        # Powers of two: videos of slightly different lengths have frames in common.
+        step = 2 ** max(0, (len(stream) // (2 * MAX_VIEWS)).bit_length() - 1)
         for index in range(0, len(stream), step):
             yield f"{path.name} frame {stream.frames[index]}", stream.read(index).pixels
     finally:

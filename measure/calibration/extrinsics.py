@@ -43,8 +43,7 @@ from measure.limits import MAX_STEPS
 from measure.model import Camera
 
 _HUBER = Huber(3.0)
-_MIN_CORNER_SD_PX = 0.01
-MIN_MARK_SD_PX = 0.02
+MIN_SD_PX = 0.02
 START_CORNER_SD_PX = 0.1
 START_MARK_SD_PX = 0.5
 
@@ -117,7 +116,7 @@ def _standard_deviations(solution: LeastSquaresSolution[RigState], problem: RigP
         squares[kind] += float(np.sum(weights * lengths**2))
         redundancy[kind] += float(np.sum(2 - leverage))
     factor = np.where(redundancy > 1, squares / np.maximum(redundancy, 1), 1.0)
-    return np.maximum(problem.sds * np.sqrt(factor), [_MIN_CORNER_SD_PX, MIN_MARK_SD_PX])
+    return np.maximum(problem.sds * np.sqrt(factor), MIN_SD_PX)
 
 
 def _answer(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> RigFit:
@@ -258,7 +257,7 @@ def fit_rig_by_paper(
         freedom += residuals.size - 6
     sd = mark_sd_px or START_MARK_SD_PX
     if mark_sd_px is None and freedom > 0:
-        sd = max(float(np.sqrt(squares / freedom)), MIN_MARK_SD_PX)
+        sd = max(float(np.sqrt(squares / freedom)), MIN_SD_PX)
     return _with_covariances(tuple(cameras), observations, sd)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats, rms_length
 from measure.calibration.board_views import board_pose, unmirrored
-from measure.calibration.boards import Corners, same_after
+from measure.calibration.boards import MIN_POINTS, Corners, same_after
 from measure.calibration.capture import Capture, CaptureCamera
 from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.intrinsics import fit_pose_only
@@ -24,7 +24,6 @@ from measure.model.body import MIN_BREADTH_RATIO
 from measure.reading import listed
 from measure.session import read_picture
 
-_MIN_MARKS_ALONE = 6
 _MAX_BOARD_RMS_PX = 3.0
 CONTRADICTION_PX = 8.0
 _NO_POSE = (
@@ -94,9 +93,9 @@ def check_located(capture: Capture) -> None:
 
 
 def _check_spread(name: str, points: Floats) -> None:
-    if len(points) < _MIN_MARKS_ALONE:
+    if len(points) < MIN_POINTS:
         raise CalibrationError(
-            f"camera {name}: without a board at least {_MIN_MARKS_ALONE} markers are needed, "
+            f"camera {name}: without a board at least {MIN_POINTS} markers are needed, "
             f"{len(points)} are marked"
         )
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

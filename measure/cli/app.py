@@ -6,6 +6,7 @@ import difflib
 import errno
 import os
 import re
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -19,8 +20,9 @@ from measure.errors import ConfigError, MeasureError
 from measure.neighbours import commands, lacking
 from measure.processes import Terminated, address_space_bytes, unwound_by_signals
 
-DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED, ENDED_BY = 0, 1, 2, 130, 141, 128
-"""Exit codes. An exception we did not foresee is a defect: python prints it and exits with 1."""
+DONE, MISTAKE, ENDED_BY = 0, 2, 128
+"""Exit codes, the last plus the number of the signal. A defect of ours is an exception that nobody
+foresaw: python prints it and exits with 1."""
 
 _MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EMFILE}
 _MACHINE_FAULTS |= {errno.EFBIG, errno.ENOMEM}
@@ -90,7 +92,7 @@ def _explained(tokens: list[str]) -> int:
         return ENDED_BY + end.signal
     except KeyboardInterrupt:
         print("measure: interrupted", file=sys.stderr)
-        return INTERRUPTED
+        return ENDED_BY + signal.SIGINT
     return code
 
 
@@ -113,7 +115,7 @@ def _pipe_closed() -> int:
             stream.flush()
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-    return PIPE_CLOSED
+    return ENDED_BY + signal.SIGPIPE
 
 
 def _make_streams_safe() -> None:

@@ -27,7 +27,6 @@ CalibrationFormat = Annotated[str, Parameter(name="--format")]
 UNBELIEVABLE = 3
 """Exit code of `check`, `calibrate` and `accept` where they find what must not be believed."""
 _LINE_EVERY_S = 5.0
-_PIPE_WIDTH = 120
 
 
 def print_json(value: Any) -> None:
@@ -59,7 +58,7 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title:
         table.add_row(*map(_cell, row))
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:
-        console = Console(highlight=False, markup=False, width=_PIPE_WIDTH)
+        console = Console(highlight=False, markup=False, width=120)
     console.print(table)
 
 

@@ -10,11 +10,10 @@ from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import inverse, solved
 from measure.geometry.rays import MIN_PARALLAX_RAD
-from measure.limits import MAX_STEPS
+from measure.limits import MAX_STEPS, SETTLED
 from measure.model.rig import RigRows
 from measure.model.rig_kernels import camera_noise, project_one, ray_rows, rows_between
 
-_STEP_TOLERANCE_MM = 1e-7
 FITTED, PARALLEL, BEHIND = 0, 1, 2
 """How a fit ends: with a point, without one for parallel rays, with one behind a camera."""
 
@@ -175,7 +174,7 @@ def refine_point(
             break
         step = solved(normal, right)
         point += step
-        settled = np.max(np.abs(step)) < _STEP_TOLERANCE_MM
+        settled = np.max(np.abs(step)) < SETTLED
     return point, normal, residuals, chi_square, True
 
 

@@ -16,11 +16,10 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, chart_jacobian
-from measure.limits import MAX_STEPS, SINGULAR
+from measure.limits import MAX_STEPS, SETTLED, SINGULAR
 from measure.model import Body, Camera, Detection, Rig
 from measure.model.observations import stacked_detections
 
-_STEP_TOLERANCE = 1e-8
 _FIRST_TUKEY = 1e3
 """Width of Tukey's weights, in standard deviations, in the first two iterations: with a start that
 is a little off all residuals are large, and good observations must keep their weights."""
@@ -94,7 +93,7 @@ def fit_pose(
     observations: PoseObservations,
     velocity: Floats | None = None,
     tukey: float = 6.0,
-    tolerance: float = _STEP_TOLERANCE,
+    tolerance: float = SETTLED,
 ) -> PoseFit:
     """Refine a pose on n >= 3 observations of balls not on one line, by Gauss-Newton.
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.limits import GAP_PERIODS, SIGNIFICANT_SIGMAS
+from measure.limits import FEWEST, GAP_PERIODS, SIGNIFICANT_SIGMAS
 from measure.metrology.poses import (
     PoseTable,
     SharedErrors,
@@ -27,7 +27,6 @@ from measure.metrology.poses import (
     unexplained,
 )
 
-_FEWEST_POSES = 10  # Poses that show noise at all
 _FEWEST_SPECTRUM = 32  # Poses in a row that show a spectrum
 _SEGMENT = 256  # Poses over which a spectrum is taken
 
@@ -76,7 +75,7 @@ def noise_of(times_s: Floats, deviations: Floats, groups: Ints, about: str) -> N
     Each deviates from the mean of its stretch, by the groups (n,); a drift is common to all.
     `about` says from what, in words.
     """
-    if len(times_s) < _FEWEST_POSES:
+    if len(times_s) < FEWEST:
         return None
     x = np.concatenate([deviations[:, :3], np.degrees(deviations[:, 3:])], axis=1)
     step = float(np.median(np.diff(times_s)))

@@ -16,6 +16,7 @@ from measure.arrays import Floats, Ints
 from measure.host.sink import PLACE as PLACE
 from measure.host.sink import QUALITY as QUALITY
 from measure.host.sink import pose_columns
+from measure.limits import AT_ONCE
 from measure.measuring import Measurement, relative_measurements
 from measure.model import BallView, Body, Camera
 
@@ -77,7 +78,6 @@ RELATIVE_COLUMNS = (CSV_COLUMNS[0], BODY, "reference", *CSV_COLUMNS[1:])
 """Of `relative.csv`: the pose is reference_from_body."""
 RELATIVE_SCHEMA = pa.schema([(BODY, _S), ("reference", _S), *SCHEMAS["poses"]])
 _UNKNOWN = np.full(2, np.nan)
-_ROWS_AT_A_TIME = 1000  # As Python's objects a row takes thirty times its room in a table
 _NINE_DECIMALS = {"time_s", *PLACE[3:]}
 
 
@@ -147,7 +147,7 @@ def csv_line(row: Mapping[str, Any], columns: Sequence[str] = CSV_COLUMNS) -> by
 
 def csv_lines(table: pa.Table, columns: Sequence[str]) -> Iterator[bytes]:
     """`csv_line` of each row of a stored table."""
-    for batch in table.to_batches(max_chunksize=_ROWS_AT_A_TIME):
+    for batch in table.to_batches(max_chunksize=AT_ONCE):
         yield from (csv_line(row, columns) for row in batch.to_pylist())
 
 

@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 from measure.arrays import Floats, Ints
 from measure.errors import RunError
 from measure.geometry import RigidTransform
-from measure.limits import CLEAR_RATIO
+from measure.limits import CLEAR_RATIO, SPREAD_OVER
 from measure.results.run import Run
 from measure.session import Trajectory
 
-_STEP_S, _LEAST_COMMON_S, _MARGIN_S = 0.02, 0.5, 0.02
+_STEP_S, _LEAST_COMMON_S = 0.02, 0.5
 _ARM_MM = 40.0  # A rotation counts with what it displaces a ball
-_LEAST_MOTION_MM, _FEW_POSES, _BLOCKS = 2.0, 60, 8
+_LEAST_MOTION_MM, _BLOCKS = 2.0, 8
 _TRIED, _FEW_STEPS = 5, 10
 """Offsets from which all is fitted, and with how many steps the best is known."""
 _MAX_LEFT, _APART_S = 0.2, 0.05
@@ -58,7 +58,7 @@ def align_truth(run: Run, truth: Trajectory) -> tuple[Trajectory, TruthOffset]:
     RunError: too little motion in common, none that agrees, or motion that repeats itself.
     """
     times = run.times_s[run.has_pose]
-    few = np.unique(np.linspace(0, len(times) - 1, min(len(times), _FEW_POSES)).astype(int))
+    few = np.unique(np.linspace(0, len(times) - 1, min(len(times), SPREAD_OVER)).astype(int))
     if not len(times):
         raise RunError(f"{run.path} holds no pose: there is nothing to find the truth's clock by")
     first, last = times[0] - truth.times_s[-1], times[-1] - truth.times_s[0]
@@ -106,7 +106,7 @@ class _Problem:
     ) -> _Problem | None:
         """With those of the run's poses that have the truth near; None if too few move enough."""
         times = run.times_s[run.has_pose][some] - lag_s
-        kept = truth.covers(times - _MARGIN_S) & truth.covers(times + _MARGIN_S)
+        kept = truth.covers(times - _STEP_S) & truth.covers(times + _STEP_S)
         poses = run.world_from_body
         rotations, places = poses.rotation[some][kept], poses.translation[some][kept]
         made = cls(times[kept] + lag_s, RigidTransform(rotations, places), truth)

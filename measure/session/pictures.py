@@ -33,7 +33,6 @@ _MAX_BYTES = 1 << 30
 _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers after which a JPEG states its size."""
 _ALONE = frozenset({0x01, *range(0xD0, 0xD9)})  # Markers that nothing belongs to
-_SCAN = 0xDA
 _READERS = (
     (JPEG_START, JpegImageFile),
     (b"\x89PNG", PngImageFile),
@@ -146,7 +145,7 @@ def jpeg_size_wh(data: bytes) -> tuple[int, int] | None:
         if kind in _FRAME_HEADERS:
             height, width = data[at + 5 : at + 7], data[at + 7 : at + 9]
             return int.from_bytes(width, "big"), int.from_bytes(height, "big")
-        if kind == _SCAN:
+        if kind == JPEG_SCAN[1]:
             break
         if kind in (0x00, 0xFF):  # a marker may be filled up with 0xFF
             at += 1

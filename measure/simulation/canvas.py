@@ -10,6 +10,7 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import ConfigError
+from measure.limits import AT_ONCE
 from measure.model import Intrinsics
 from measure.simulation.caster import Stage, spread
 from measure.simulation.kernels import NOTHING
@@ -22,7 +23,6 @@ _MIDDLE = _BLOCK_PX // 2 + 1  # index in the grid, which begins one pixel before
 _BLOCK_MARGIN_PX = 0.75 * _BLOCK_PX + 2.0
 _TEXTURE_STEP = 0.05
 """Relative difference of neighbouring pixels on a flat face from which they are supersampled."""
-_MOST_EDGES = 4096  # Edge pixels supersampled at once: bounds the memory
 
 
 class Canvas:
@@ -63,7 +63,7 @@ class Canvas:
         seen[missed] = backdrop[rows[missed], columns[missed]]
         out[rows, columns] = seen
         fine = stage.silhouettes(ideal, near) | self._steps(stage, rows, columns, first, seen)
-        for part in np.array_split(np.flatnonzero(fine), np.count_nonzero(fine) // _MOST_EDGES + 1):
+        for part in np.array_split(np.flatnonzero(fine), np.count_nonzero(fine) // AT_ONCE + 1):
             r, c = rows[part], columns[part]
             out[r, c] = self._sample(stage, near[:, part], r, c, samples, backdrop)
         return out

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
+from measure.limits import AT_ONCE
 from measure.simulation import kernels
 from measure.simulation.kernels import NOTHING, REUSE, RayHits, choose_lit, meet, no_points
 from measure.simulation.light_kernels import LAMP_ROW, Lights, mean_of_pixels, reflect
@@ -16,8 +17,6 @@ from measure.simulation.scene import Capsule, Cuboid, Lighting, Mirror, Shape, S
 
 _VELOCITY = slice(kernels.VELOCITY, kernels.VELOCITY + 3)
 _GOLDEN = (math.sqrt(5) - 1) / 2
-_MOST_TEXELS = 4096
-"""Points whose texture is computed at once: the arrays stay in the processor's cache."""
 _EDGE_PX = 0.75  # An outline crosses a pixel only if it passes the centre at a smaller distance
 
 
@@ -113,8 +112,8 @@ class Stage:
         out = np.where((shape == NOTHING)[:, None], 0.0, self._plain_albedo[shape])
         for k, box, texture in self._textured:
             rows = np.flatnonzero(shape == k)
-            for begin in range(0, rows.size, _MOST_TEXELS):
-                part = rows[begin : begin + _MOST_TEXELS]
+            for begin in range(0, rows.size, AT_ONCE):
+                part = rows[begin : begin + AT_ONCE]
                 way = delays_s[part, None] * self.packed[k, _VELOCITY]
                 out[part] = texture(box.local(places[part] - way))[:, ::-1]
         return out

@@ -11,8 +11,8 @@ import numpy as np
 import yaml
 
 from measure.errors import CalibrationError
+from measure.limits import MOST_LETTERS
 
-_SHOWN = 120  # Characters of a reason: OpenCV quotes what it could not read
 _LONGEST = 1000  # Entries of a list that may describe cameras
 
 READ = (
@@ -41,7 +41,7 @@ def _opencv_values(path: Path, text: str) -> Any:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError) as problem:
         cause = str(problem.__cause__ or problem).strip().splitlines()[-1]
-        cause = cause.rpartition("error: ")[2][:_SHOWN]
+        cause = cause.rpartition("error: ")[2][:MOST_LETTERS]
         raise CalibrationError(f"{path}: not a file OpenCV can read ({cause}); {READ}") from None
     root = storage.root()
     return _plain(root) if root.isMap() else None

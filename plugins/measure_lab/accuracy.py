@@ -10,10 +10,10 @@ import numpy as np
 from measure.arrays import Floats
 from measure.estimation.expected_accuracy import body_pose_sd, noise_sd, scale_sd, tolerance_sd
 from measure.geometry import RigidTransform
+from measure.limits import SPREAD_OVER
 from measure.results.run import Run
 
 _STEPS = 11
-_SAMPLES = 30
 _MIN_REACH_MM = 60.0
 _MAP_SIZE_RATIO = 1.5  # How far the map goes beyond the places where the body was
 
@@ -61,7 +61,7 @@ def reported_noise_px(run: Run) -> float:
     Larger than the scatter of the outlines, because the reported uncertainty also holds what no
     single frame can show. The median over poses spread along the run.
     """
-    picked = np.unique(np.linspace(0, int(run.has_pose.sum()) - 1, _SAMPLES).astype(int))
+    picked = np.unique(np.linspace(0, int(run.has_pose.sum()) - 1, SPREAD_OVER).astype(int))
     reported = np.sqrt(np.trace(run.covariances[picked, :3, :3], axis1=1, axis2=2))
     parts = np.array([_parts(run.world_from_body[int(k)], run) for k in picked])
     seen = np.isfinite(parts).all(axis=1)

@@ -22,7 +22,7 @@ from scipy.special import ndtr, stdtrit
 from measure.arrays import Floats, rms_length
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
-from measure.limits import CLEAR_RATIO, MAX_STEPS
+from measure.limits import CLEAR_RATIO, FEWEST, MAX_STEPS
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import Rests
 
@@ -158,7 +158,6 @@ def judge(
     )
 
 
-_FEWEST = 10
 _LEAST_SWING_DEG = 15.0
 """Within fewer degrees the errors of a pose by light stay alike, and turning averages nothing."""
 _WORST_TIP_SD_MM = 0.5  # A tip that is known worse, along any axis, is none
@@ -242,10 +241,10 @@ def find_spin_axis(poses: PoseTable, shared: SharedErrors, tip_mm: Floats) -> Sp
 
 
 def _refuse_few(poses: PoseTable) -> None:
-    if len(poses) < _FEWEST:
+    if len(poses) < FEWEST:
         raise DegenerateGeometryError(
             f"a turning body is seen in {len(poses)} poses that can be relied on: at least "
-            f"{_FEWEST} are needed"
+            f"{FEWEST} are needed"
         )
 
 

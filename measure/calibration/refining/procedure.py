@@ -20,18 +20,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.refining.recording import (
-    MIN_FRAMES,
-    Recording,
-    calibration_disagrees,
-    recording_of,
-)
+from measure.calibration.refining.recording import Recording, calibration_disagrees, recording_of
 from measure.calibration.refining.refine import Refinement, RefineSettings, misfits_px, refine_rig
 from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import chi_square_quantile
-from measure.limits import CLEAR_RATIO
+from measure.limits import CLEAR_RATIO, FEWEST, SPREAD_OVER
 from measure.measuring import Measurement
 from measure.model import Body, Camera, Detection
 
@@ -60,7 +55,7 @@ def compare_halves(
 ) -> Halves:
     """Refine each half by itself; the arguments are those of `refine_rig`."""
     count = len(recording.times_s)
-    if count // 2 < MIN_FRAMES:
+    if count // 2 < FEWEST:
         return Halves()
     parts = (recording.part(0, count // 2), recording.part(count // 2, count))
     try:
@@ -98,7 +93,6 @@ _MIN_DETERMINED_SHARE = 0.02
 SUSPICIOUS_PX = 0.4
 _MAX_MISFIT_PX = 1.5  # Light shifts the edges of glossy balls by about a pixel at most
 _SURPRISE_CONFIDENCE = 0.999
-_JUDGED_POSES = 20
 
 
 @dataclass(frozen=True)
@@ -175,7 +169,7 @@ def _notes(
 def _body_sd(
     first: tuple[Camera, ...], body: Body, recording: Recording, refinement: Refinement
 ) -> tuple[float, float]:
-    picked = np.unique(np.linspace(0, len(recording.times_s) - 1, _JUDGED_POSES).astype(int))
+    picked = np.unique(np.linspace(0, len(recording.times_s) - 1, SPREAD_OVER).astype(int))
     poses = [recording.world_from_body[int(i)] for i in picked]
     before, after = (
         body_pose_sd(cameras, body, poses, covariance, refinement.columns)[0]

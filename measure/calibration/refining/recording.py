@@ -11,11 +11,11 @@ from measure.arrays import Floats, Ints
 from measure.calibration.board_views import stack
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
+from measure.limits import FEWEST
 from measure.measuring import Measurement
 from measure.model import BallView, Body, Detection
 from measure.model.observations import Reason
 
-MIN_FRAMES = 10
 _MOST_FRAMES = 1500  # The first ones are kept, because motion needs neighbours
 _MIN_AGREEING_SHARE = 0.2
 """A camera that agrees in a smaller share of the frame sets is not refined but refused."""
@@ -85,10 +85,10 @@ def recording_of(
     others do not.
     """
     kept = [m for m in measurements if m.pose is not None and (doubtful_too or not m.pose.flags)]
-    if len(kept) < MIN_FRAMES:
+    if len(kept) < FEWEST:
         raise CalibrationError(
             f"{len(kept)} of {len(measurements)} frame sets have "
-            f"{'a' if doubtful_too else 'an unflagged'} pose, and at least {MIN_FRAMES} are needed"
+            f"{'a' if doubtful_too else 'an unflagged'} pose, and at least {FEWEST} are needed"
             f"{_why_few(measurements, len(kept))}"
         )
     _refuse_disagreeing(kept, doubtful_too)
@@ -111,7 +111,7 @@ def _refuse_disagreeing(kept: Sequence[Measurement], doubtful_too: bool) -> None
             any(view.camera == name and _usable(view, doubtful_too) for view in m.views)
             for m in kept
         )
-        if apart >= MIN_FRAMES and agreeing < _MIN_AGREEING_SHARE * (agreeing + apart):
+        if apart >= FEWEST and agreeing < _MIN_AGREEING_SHARE * (agreeing + apart):
             raise CalibrationError(
                 f"camera {name} sees the balls elsewhere than the others in {apart} of {len(kept)} "
                 "frame sets: it does not stand where the first calibration says; if it was moved "

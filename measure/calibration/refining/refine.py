@@ -24,8 +24,9 @@ from measure.calibration.refining.priors import (
     workspace_grid,
 )
 from measure.calibration.refining.problem import RefinedState, RefineLayout, RefineProblem
-from measure.calibration.refining.recording import MIN_FRAMES, Recording, ball_places
+from measure.calibration.refining.recording import Recording, ball_places
 from measure.errors import CalibrationError
+from measure.limits import FEWEST
 from measure.model import Body, Camera
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 
@@ -140,10 +141,10 @@ def misfits_px(cameras: tuple[Camera, ...], body: Body, recording: Recording) ->
 def _check_seen(cameras: tuple[Camera, ...], recording: Recording) -> None:
     for camera in cameras:
         seen = len(recording.tracks[camera.name].frame) if camera.name in recording.tracks else 0
-        if seen < MIN_FRAMES:
+        if seen < FEWEST:
             raise CalibrationError(
                 f"camera {camera.name}: saw a ball {seen} times where the others do, at least "
-                f"{MIN_FRAMES} are needed: is the body in its view, and does it stand where the "
+                f"{FEWEST} are needed: is the body in its view, and does it stand where the "
                 "first calibration says? `measure check` tells"
             )
 

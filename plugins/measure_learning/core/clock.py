@@ -18,14 +18,14 @@ _HALF_SPAN_S = 0.1  # velocities are differences of positions over twice this ti
 _MIN_MOTION_S = 8.0  # shorter motions of one operator resemble each other
 _MIN_COMMON_SHARE = 0.5  # of the shorter recording that must overlap the other
 _MAX_COMPARED_S = 1e5  # longest stretch of motion that is compared
-_MAX_SEARCHED_S = 2e4  # range of offsets: arrays of two million, nine at a time
+MAX_SEARCHED_S = 2e4  # range of offsets: arrays of two million, nine at a time
 _GAP_S, _GAP_STEPS = 0.3, 3.0  # a step longer than both (s, median steps) is a gap
-_SLOPE_S = 0.01
+SLOPE_S = 0.01
 _MIN_CORRELATION = 0.9
 _MIN_RIVAL_DISTANCE_S = 0.5  # offsets nearer to the best one are not its rivals
 _MAX_CORRELATION_S = 2.0  # residuals closer in time than this may be correlated
 _MEDIAN_SAMPLES = 5  # window of the median filter that finds outliers
-_MIN_KEPT_SHARE = 0.8  # of the positions; more outliers than the rest mean another cause
+MIN_KEPT_SHARE = 0.7  # of the positions; more outliers than the rest mean another cause
 # of what the fit leaves, as a delay, that a robot's cables made of it: RMS, `benchmarks.clock`.
 _DELAY_SHARE = 0.5
 _ROUGH_HZ = 10.0  # of a search that only has to find the place
@@ -70,7 +70,7 @@ def estimate_offset(
             measured_mm,
             robot_times_s - robot_times_s[0],
             reported_mm,
-            largest_s=min(float(length_s), _MAX_SEARCHED_S / 2),
+            largest_s=min(float(length_s), MAX_SEARCHED_S / 2),
         )
         return replace(found, offset_s=found.offset_s + apart_s)
     robot = _PositionTrack(robot_times_s, reported_mm)
@@ -172,7 +172,7 @@ def _without_outliers(cameras: _PositionTrack, robot: _PositionTrack) -> _Positi
     at = np.arange(len(off))
     first, stop = np.maximum(at - side, 0), np.minimum(at + side, last)
     kept = off <= fastest * (cameras.times_s[stop] - cameras.times_s[first])
-    if kept.mean() < _MIN_KEPT_SHARE:  # another unit, or the log of another robot
+    if kept.mean() < MIN_KEPT_SHARE:  # another unit, or the log of another robot
         return cameras
     return _PositionTrack(cameras.times_s[kept], cameras.positions_mm[kept])
 
@@ -209,10 +209,10 @@ def _offsets(camera_s: Floats, robot_s: Floats, largest_s: float) -> Floats:
     """The offsets (n,) in s within +- `largest_s` at which the recordings overlap at all."""
     first = max(-largest_s, robot_s[0] - camera_s[-1])
     last = min(largest_s, robot_s[-1] - camera_s[0])
-    if last - first > _MAX_SEARCHED_S:
+    if last - first > MAX_SEARCHED_S:
         raise EstimatorError(
             f"clock offsets from {first:.6g} to {last:.6g} s are too many to search: give the "
-            f"offset, or one to search within ({_MAX_SEARCHED_S:g} s in all)"
+            f"offset, or one to search within ({MAX_SEARCHED_S:g} s in all)"
         )
     if not last > first:
         raise _too_little(camera_s, robot_s)
@@ -231,11 +231,11 @@ def _refine(
     pull, curvature = np.zeros(1), 1.0
     for _ in range(10):
         inside = cameras.known(grid)
-        for side in (-_SLOPE_S, 0.0, _SLOPE_S):
+        for side in (-SLOPE_S, 0.0, SLOPE_S):
             inside &= robot.known(grid + lag + side)
         at = grid[inside] + lag
         wanted, velocity = cameras.velocity(grid[inside]), robot.velocity(at)
-        slope = (robot.velocity(at + _SLOPE_S) - robot.velocity(at - _SLOPE_S)) / (2 * _SLOPE_S)
+        slope = (robot.velocity(at + SLOPE_S) - robot.velocity(at - SLOPE_S)) / (2 * SLOPE_S)
         turn = np.linalg.lstsq(velocity, wanted, rcond=None)[0]
         residual, change = wanted - velocity @ turn, slope @ turn
         pull, curvature = (residual * change).sum(axis=1), float((change**2).sum())
@@ -270,7 +270,7 @@ def rough_offset(
     ours = _on_grid(camera_times_s - start_s, twists)
     theirs = _on_grid(robot_times_s - robot_start_s, rates[:, rates.std(axis=0) > 0])
     least = round(max(_MIN_MOTION_S, 0.5 * min(len(ours), len(theirs)) / _ROUGH_HZ) * _ROUGH_HZ)
-    if not least < min(len(ours), len(theirs), _MAX_SEARCHED_S * _ROUGH_HZ) or not theirs.size:
+    if not least < min(len(ours), len(theirs), MAX_SEARCHED_S * _ROUGH_HZ) or not theirs.size:
         return float("nan"), 0.0
     ours, theirs = (x - x.mean(axis=0) for x in (ours, theirs))
     edge = len(ours) - least

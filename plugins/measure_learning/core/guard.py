@@ -10,6 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Correction
+from measure_learning.core.labels import FAR_MM
 from measure_learning.core.offsets import OffsetFollower, Zeroing
 from measure_learning.onnx import OnnxModel
 
@@ -20,7 +21,6 @@ _JITTER_S = 1.0  # Largest step back of a stamp that is jitter, not a clock that
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 """Largest value of a feature: networks compute in float32."""
 _REMEMBERED = 4096  # Corrected states whose true positions may still come
-FAR_MM = 100.0  # No robot errs by so much: a true position in other units or another frame
 _MAX_PAUSE_S = 1000.0
 """Largest step ahead of a stamp; a longer one needs a second stamp that confirms it."""
 

@@ -126,7 +126,7 @@ _log = logging.getLogger(__name__)
 _LEAST_RMS_MM = 3.0  # Of labels, from which they are called something else than errors
 _LEAST_CHANGED, _LEAST_CHANGED_MM = 60, 0.3
 """Labels, and their RMS, from which a scale or a jump is looked for in them."""
-_FAR_MM = 100.0  # RMS of labels by which no robot errs
+FAR_MM = 100.0  # RMS of labels by which no robot errs
 _MOST = 0.5  # Share of their RMS that may be left where most of them is explained
 _OWN_TURN_RAD, _OWN_SLIDE_MM, _OWN_SHIFT_MM = np.deg2rad(5.0), 10.0, 20.0
 """Joints homed wrongly by so much are a robot's own error, and so is what they do to its frame."""
@@ -192,7 +192,7 @@ def not_the_robot(pairs: Paired) -> str | None:
     errors = pairs.measured_mm - pairs.reported_mm
     size = rms_length(errors)
     said = f"labels of {size:.1f} mm RMS are no errors of the robot"
-    unexplained = f"{said}: none errs by so much" if size > _FAR_MM else None
+    unexplained = f"{said}: none errs by so much" if size > FAR_MM else None
     if size < _LEAST_RMS_MM or not determine_frame(pairs.reported_mm):
         return unexplained
     groups = {"frame": range(6)}

@@ -9,10 +9,9 @@ import numpy as np
 from measure.arrays import Floats, floats
 from measure.errors import EstimatorError
 from measure.host import Correction
-from measure.limits import HUBER_SIGMAS
+from measure.limits import FEWEST, HUBER_SIGMAS
 from measure.robots import SerialChain, StateSchema
 
-_MIN_STATES = 10
 PRIOR_SD_MM = 0.5  # of the tip's offset by each joint's zero and by the base, where not learnt
 PRIOR_LIMITS_MM = 0.1, 2.0
 _MIN_INDEPENDENT = 12.0  # observations, as their autocorrelation counts them
@@ -75,9 +74,9 @@ def fit_zeroing(
     fewer than 12 independent ones.
     """
     floats("residuals_mm", residuals_mm, len(states), 3)
-    if len(states) < _MIN_STATES:
+    if len(states) < FEWEST:
         raise EstimatorError(
-            f"re-zeroing needs at least {_MIN_STATES} measured states, got {len(states)}"
+            f"re-zeroing needs at least {FEWEST} measured states, got {len(states)}"
         )
     independent = _independent(residuals_mm)
     apart = independent > _APART * len(states)

@@ -12,6 +12,7 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import skew
 from measure.robots import SerialChain, StateSchema
+from measure_learning.core.clock import MIN_KEPT_SHARE
 from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, fit_frames
 from measure_learning.core.frames import RobotFrame
 from measure_learning.core.judged_frames import judgement
@@ -32,7 +33,6 @@ _WRONG_CHAIN_MM = 5.0  # RMS left, most of it by links: no arm is built so badly
 _MOST_LINK_MM = 100.0  # error of a link that a wrong table may hold; a mirrored world needs more
 _MOST_APART_DEG = 15.0  # RMS of rotations; slack and slipping drives of a wrist leave less
 _MOST_LEFT = 0.25  # share of the motion (RMS) that is left where base and tool explain nothing
-_LEAST_KEPT = 0.7  # of the poses; more outliers than the rest mean another cause
 _BLOCKS = ("world_from_base", "flange_from_body")
 _AXES = ("x_mm", "y_mm", "z_mm", "x_rad", "y_rad", "z_rad")
 
@@ -250,7 +250,7 @@ def _refuse_slips(
     left = alone.rms_mm(seen.take(fit.kept))
     places = seen.poses.world_from_body.translation
     spread = float(np.linalg.norm(places.std(axis=0)))
-    if kept < _LEAST_KEPT or left > max(_MOST_LEFT * spread, _WRONG_CHAIN_MM):
+    if kept < MIN_KEPT_SHARE or left > max(_MOST_LEFT * spread, _WRONG_CHAIN_MM):
         if (cause := explain(seen, _joint_names(schema), options.eye_in_hand)) is not None:
             raise EstimatorError(cause)
         if left > _MOST_LEFT * spread:
@@ -265,7 +265,7 @@ def _refuse_slips(
         _refuse_unlike(fit, schema.chain)
     elif schema.chain:
         _refuse_wrong(fit, seen, schema.chain)
-    if kept < _LEAST_KEPT:
+    if kept < MIN_KEPT_SHARE:
         raise EstimatorError(
             f"{100 * (1 - kept):.0f} % of the poses are not where base and tool of the others put "
             "them: did the cameras, the base or the body move, or is another body taken for it?"

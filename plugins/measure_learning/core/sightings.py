@@ -20,13 +20,11 @@ from measure_learning.core.assemble import (
     complete_states,
     interpolate,
 )
-from measure_learning.core.clock import estimate_offset, rough_offset
+from measure_learning.core.clock import MAX_SEARCHED_S, SLOPE_S, estimate_offset, rough_offset
 from measure_learning.core.frame_fit import FRAMES, FrameFit, LinearModel, Sightings
 from measure_learning.core.labels import chain_doubt
 from measure_learning.robots import StateLog
 
-_LONGEST_SEARCH_S = 9e3  # on either side of where the recordings begin together
-_RATE_STEP_S = 0.01
 _MOST_BETWEEN_MM = 1.0
 """RMS by which the tip between two states of a log may be off a straight way: several times what
 cheap cameras err by. The bend of the way over two steps is four times that."""
@@ -53,7 +51,7 @@ def clock_of(one: LoggedTrack, largest_s: float) -> float:
         times, joints = _joints(one)
         turned = chain.pose(joints).rotation
         paths.insert(0, (_turning_path(track.rotations), times, _turning_path(turned)))
-    whole_s = min(float(np.ptp(track.times_s) + np.ptp(log.times_s)), _LONGEST_SEARCH_S)
+    whole_s = min(float(np.ptp(track.times_s) + np.ptp(log.times_s)), MAX_SEARCHED_S / 2)
     start_s = log.times_s[0] - track.times_s[0]
     problem = None
     for shift_s, within_s in ((0.0, largest_s), (start_s, whole_s)):
@@ -117,14 +115,14 @@ def moving(
     for k, (one, track) in enumerate(zip(recordings, measured, strict=True)):
         table = track.table().take(slice(None, None, every))
         at = table.times_s + clocks_s[k]
-        around = (at + _RATE_STEP_S * np.array([[0.0], [1.0], [-1.0]])).ravel()
+        around = (at + SLOPE_S * np.array([[0.0], [1.0], [-1.0]])).ravel()
         log = complete_states(track.name, one.log)
         _refuse_sparse(track.name, log)
         states, near = interpolate(log, around, LONGEST_GAP_S)
         states, ahead, behind = states.reshape(3, len(at), -1)
         usable = np.asarray(near.reshape(3, -1).all(axis=0))
         read = schema.joint_positions if schema.chain else schema.position_mm
-        rates = _without_turns(schema.chain, read(ahead) - read(behind)) / (2 * _RATE_STEP_S)
+        rates = _without_turns(schema.chain, read(ahead) - read(behind)) / (2 * SLOPE_S)
         place, joints = schema.position_mm(states), schema.joint_positions(states)
         if (doubt := chain_doubt(schema.chain, joints[usable], place[usable])) is not None:
             raise EstimatorError(f"{track.name}: {doubt}")

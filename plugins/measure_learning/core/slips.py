@@ -33,7 +33,7 @@ from measure_learning.core.frame_fit import (
 )
 
 _COMPARED, _FITTED = 60, 120  # poses by which slips are ranked, and the best of them fitted
-_LIKELY, _FINALISTS = 60, 4  # slips ranked by all, after the rotations alone; and those fitted
+_FINALISTS = 4  # slips ranked by all, after the rotations alone; and those fitted
 _MOST_LEFT = 0.1  # share of the motion that may be left then
 _MOST_JOINTS = 7  # whose orders are all tried: 5040
 _EXPLAINED = 0.6  # share of the RMS up to which one more unknown leaves it, to be the cause
@@ -61,7 +61,7 @@ def explain(seen: Sightings, joint_names: Sequence[str], eye_in_hand: bool = Fal
         return None
     few = seen.take(_some(len(seen.poses), _COMPARED))
     every = _slips(few, joint_names, eye_in_hand)
-    likely = heapq.nlargest(_LIKELY, every, key=lambda slip: turns_agree(slip.undone))
+    likely = heapq.nlargest(_COMPARED, every, key=lambda slip: turns_agree(slip.undone))
     ranked = sorted(likely, key=lambda slip: quick_miss(slip.undone, LEVER_MM))
     wanted = {slip.said for slip in ranked[:_FINALISTS]}
     more = seen.take(_some(len(seen.poses), _FITTED))

@@ -17,7 +17,7 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.limits import LEVER_MM
 from measure.metrology.poses import PoseTable, SharedErrors
-from measure.metrology.rests import find_rests
+from measure.metrology.rests import SHORTEST_S, find_rests
 from measure.model import Ball, BallColor, Body
 from measure.robots import StateSchema
 from measure_learning.core.assemble import PoseTrack
@@ -28,7 +28,6 @@ from measure_learning.core.turns import align_turns
 
 LEAST_STOPS = 8
 _STILL_MM = 0.3  # way of the tip, and of a point 100 mm from it, over half a second
-_STILL_S = 0.5
 _SAME_S = 0.3  # between the instants of one stop on two clocks that are brought together
 _MOST_OFFSETS = 12  # of those that match most stops are compared by their geometry
 
@@ -113,7 +112,7 @@ def _body_rests(track: PoseTrack, shared: SharedErrors | None) -> tuple[PoseTabl
     table = track.table()
     if float(np.median(np.diff(track.times_s))) > SPARSE_S:
         return table, _RestSpans(table.times_s, table.times_s)
-    found = find_rests(table, shared or SharedErrors((), _ANY_BODY), _STILL_S).rests
+    found = find_rests(table, shared or SharedErrors((), _ANY_BODY), SHORTEST_S).rests
     ends = np.array([(rest.start_s, rest.end_s) for rest in found]).reshape(-1, 2)
     places = [rest.world_from_body for rest in found]
     poses = RigidTransform(
@@ -141,12 +140,12 @@ def _robot_rests(one: LoggedTrack) -> tuple[Floats, _RestSpans]:
     rows = np.flatnonzero(log.complete)
     times, states = log.times_s[rows], log.states_at(rows)
     places = _far_points(log.schema, states)
-    ahead = np.minimum(np.searchsorted(times, times + _STILL_S, side="right") - 1, len(times) - 1)
+    ahead = np.minimum(np.searchsorted(times, times + SHORTEST_S, side="right") - 1, len(times) - 1)
     step = float(np.median(np.diff(times)))
     if step > SPARSE_S:
         ahead = np.minimum(np.arange(len(times)) + 1, len(times) - 1)
     still = np.abs(places[ahead] - places).max(axis=1) < _STILL_MM
-    still &= times[ahead] - times > 0.8 * min(_STILL_S, step) if step <= SPARSE_S else True
+    still &= times[ahead] - times > 0.8 * min(SHORTEST_S, step) if step <= SPARSE_S else True
     starts = np.flatnonzero(still & ~np.concatenate([[False], still[:-1]]))
     ends = np.flatnonzero(still & ~np.concatenate([still[1:], [False]]))
     if step > SPARSE_S and len(starts) < LEAST_STOPS:  # a state a stop

@@ -13,6 +13,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Conclusion, Settings, Tracker, setting
+from measure.limits import MAX_PAUSE_S
 from measure.model import (
     Ball,
     BallPosition,
@@ -29,8 +30,6 @@ from measure.model.observations import Reason, State
 from measure_paper.tracking import ray_agreement
 from measure_paper.tracking.circle_state import Circle, CircleEvidence, advance, remember
 from measure_paper.tracking.ray_agreement import choose
-
-_MAX_STEP_S = 0.5  # Motion bounds of a circle grow no longer than this after its last detection
 
 
 class FrameUpdateSettings(Settings):
@@ -217,7 +216,7 @@ class FrameUpdate(Tracker):
         self, ball: Ball, radius_px: float, since_s: float | None, time_s: float
     ) -> float:
         """The motion threshold between two detections of a ball."""
-        step_s = 0.0 if since_s is None else min(abs(time_s - since_s), _MAX_STEP_S)
+        step_s = 0.0 if since_s is None else min(abs(time_s - since_s), MAX_PAUSE_S)
         moved_mm = self.config.motion_mm_s * step_s
         return self._tolerance * (
             self.config.motion_base_px + moved_mm * radius_px / ball.radius_mm

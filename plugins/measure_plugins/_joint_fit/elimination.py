@@ -284,8 +284,7 @@ def subtract_view_shifts(
 _INITIAL_SD_PX = 3.0
 """Wide enough for any outline: with less, Tukey's weights would reject all points of one that is
 shifted by several px."""
-_PRIOR_SD_PX = 0.03
-_PRIOR_COUNT = 1.0
+_PRIOR_SD_PX = 0.03  # Of a prior that is worth one ball-view
 _MIN_SD_PX = 0.003
 _MIN_RADIUS_SD_PX = 0.1
 """Balls are not round to better than this, and edges differ: a size determines range no better."""
@@ -333,9 +332,8 @@ def update_effect_variance(
     formulas 13 and 14.
     """
     variance, inverse_weight = distribution
-    prior = _PRIOR_COUNT * _PRIOR_SD_PX**2
-    center, known_center = prior, _PRIOR_COUNT
-    radius, known_radius = prior, _PRIOR_COUNT
+    center = radius = _PRIOR_SD_PX**2
+    known_center = known_radius = 1.0
     square = np.empty(len(inverse_weight))
     for k in range(len(inverse_weight)):
         for a in range(EFFECTS):

@@ -23,10 +23,8 @@ from measure.geometry import (
     propagate,
 )
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.limits import MAX_STEPS
+from measure.limits import MAX_STEPS, SETTLED
 from measure.model import BallPosition, Camera, Detection, Motion, Pose
-
-_STEP_TOLERANCE = 1e-10
 
 
 class KabschConfig(Settings):
@@ -147,7 +145,7 @@ def _robust_fit(
             (weighted @ jacobians).sum(axis=0), np.einsum("nij,nj->i", weighted, residuals)
         )
         pose = pose.perturb(step)
-        if np.max(np.abs(step)) < _STEP_TOLERANCE:
+        if np.max(np.abs(step)) < SETTLED:
             break
     residuals = centers - pose.apply(points_body)
     return pose, np.asarray(weight), float(np.einsum("ni,nij,nj->", residuals, weight, residuals))

@@ -31,14 +31,14 @@ from measure_studio.api.recording import CaptureRequest
 from measure_studio.capture import CameraAddress, CameraCount, Cameras
 from measure_studio.capture.sources import POLL_S, RETRY_S
 
-_ROWS, _COLUMNS = 360, 480  # Of a picture that are judged, at least, where it has as many
+_ROWS = 400  # And columns of a picture that are judged, at least, where it has as many
 _REACH_PX = 25  # Width within which an edge's contrast is taken
 _EDGES, _BRIGHTEST = 0.9995, 0.99  # Quantiles that stand for the edges, and for what is bright
 _SEEN_S = 5.0  # How long a ball that was found is named
 _HELD_S = 1.5
 """How long a picture stays in which something was found, if no other comes: what is drawn into a
 newer one would lie beside what moves."""
-_SEARCH_SHARE = 0.3  # Share of one core that searching pictures for balls may take
+SEARCH_SHARE = 0.3  # Share of one core that searching pictures for balls may take
 _MARK_BGR, _BALL_BGR = (255, 0, 255), (255, 255, 255)
 _NAME_PX = 17  # Size of names beside outlines
 
@@ -78,7 +78,7 @@ def _quantile(levels: NDArray[Any], share: float) -> int:
 
 def clipped(pixels: Bytes) -> Bytes:
     """Which pixels of a picture (h, w, 3), or which of every few, are overexposed: 0 or 1."""
-    step = max(1, pixels.shape[1] // _COLUMNS)
+    step = max(1, pixels.shape[1] // _ROWS)
     blue, green, red = cv2.split(pixels[::step, ::step])
     return np.asarray(cv2.max(cv2.max(blue, green), red) >= FULL, np.uint8)
 
@@ -285,7 +285,7 @@ class BallWatch:
                     self._preview.note_balls(image, best.values())
                 # A first search that compiled for minutes is no reason to rest as long.
                 took_s = min(time.monotonic() - begun, RETRY_S)
-                if self._stop.wait(took_s * (1 / _SEARCH_SHARE - 1)):
+                if self._stop.wait(took_s * (1 / SEARCH_SHARE - 1)):
                     return
 
 

@@ -15,6 +15,7 @@ from http.client import HTTPResponse
 from io import BufferedIOBase
 
 from measure.errors import CaptureError
+from measure.limits import MOST_LETTERS
 from measure.session.pictures import JPEG_END, is_complete_jpeg
 from measure_studio.capture.http_stream import open_stream
 from measure_studio.capture.sources import PATIENCE_S, Shot, Source
@@ -22,7 +23,6 @@ from measure_studio.capture.web_address import shown
 
 _MAX_BYTES = 16 << 20  # Largest picture, with its headers: one of a hundred megapixels
 _MAX_HEADERS = 64
-_MAX_KIND = 80
 _MAX_DIGITS = 20
 _MAX_LINE = 8 << 10  # Bytes of a line that is not a picture's
 _MAX_PICTURE_S = 3 * PATIENCE_S
@@ -70,7 +70,7 @@ def _stream_of(answer: HTTPResponse, address: str) -> BufferedIOBase:
         )
     kind = answer.headers.get_content_type()
     if not kind.startswith("multipart/"):
-        known = kind if len(kind) < _MAX_KIND and kind.isprintable() else "something"
+        known = kind if len(kind) < MOST_LETTERS and kind.isprintable() else "something"
         raise CaptureError(
             f"{address}: answers {known}, not a stream of JPEGs (multipart/x-mixed-replace): give "
             "the address of the camera's MJPEG stream"

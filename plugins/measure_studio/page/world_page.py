@@ -13,6 +13,7 @@ from measure import api
 from measure.errors import ConfigError, MeasureError
 from measure_lab import api as lab
 from measure_studio import api as studio_api
+from measure_studio.api.previewing import SEARCH_SHARE
 from measure_studio.page import drawings, overlays
 from measure_studio.page.bench import CALIBRATION, Bench, Job
 from measure_studio.page.layout import (
@@ -29,7 +30,6 @@ from measure_studio.page.steps import STEPS, step_of
 from measure_studio.page.words import plain
 
 _LOOK_S = 1.0  # Between two looks for the board, at least
-_LOOK_SHARE = 0.3  # Share of one core that looking may take: a chessboard takes seconds
 _AXIS_MM = 100.0  # Of the axes that are drawn, where the board has no squares
 _REST_S, _REST_POSES = 2.0, 10  # How long, and how often, a body at rest is measured at least
 
@@ -61,7 +61,7 @@ class _World:
         except MeasureError as problem:
             self.place, self.unseen = None, plain(str(problem), bench.folder)
         took_s = time.monotonic() - begun_s
-        self.rests_until_s = begun_s + took_s / _LOOK_SHARE
+        self.rests_until_s = begun_s + took_s / SEARCH_SHARE
 
     def by_board(self) -> None:
         """Put the world where the board lies now."""

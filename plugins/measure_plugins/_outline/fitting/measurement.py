@@ -13,6 +13,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import inverse
+from measure.limits import TINY
 from measure.model.lens import bearing
 from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.fitting.color import COLOR_SD_PX, scan_color
@@ -190,7 +191,6 @@ def _chance_corrected(scan: EdgeScan, fit: ConeFit, share: float) -> tuple[Float
 CORRECTED_GROWTH = (0.0, 0.3)
 """Prior mean and sd in px of the radius of corrected edges minus the one predicted by distance."""
 _OFFSET_PX = 0.3
-_MIN_DETERMINANT = 1e-3  # Determinant of the step response below which it is not inverted
 _MAX_EXCESS = 1.0
 """Limit of the gain minus the unit matrix (Frobenius norm), where the response is weak."""
 
@@ -226,7 +226,7 @@ def measure_step_gain(view: CameraImage, search: OutlineSearch, tables: RadialTa
                 return np.eye(2)
             for a in range(2):
                 response[a, k] -= side * fit.solution[a] / (2 * _OFFSET_PX)
-    if not np.linalg.det(response) > _MIN_DETERMINANT:
+    if not np.linalg.det(response) > TINY:
         return np.eye(2)
     more = np.linalg.inv(response) - np.eye(2)
     return np.eye(2) + more * min(1.0, _MAX_EXCESS / (float(np.linalg.norm(more)) + 1e-12))
