@@ -25,6 +25,7 @@ from measure.results.tables import texts
 from measure.session import dump_toml
 from measure.viewing.report import figures, places
 from measure.viewing.report.page import Page
+from measure_lab import run_figures
 from measure_lab.accuracy import accuracy_map
 from measure_lab.verdict import verdict
 
@@ -202,7 +203,7 @@ def _add_views(page: Page, run: Run) -> None:
         "Who saw what when",
         "Each ball in each camera: effective, or suspended and why. Where frame sets are many, a "
         "column stands for several and shows the commonest reason against a view among them.",
-        figures.state_timeline(since_start(run), codes, views, reasons),
+        run_figures.state_timeline(since_start(run), codes, views, reasons),
     )
     seen = {name: run.detections[name].to_numpy(zero_copy_only=False) for name in _RESIDUAL}
     _add_residuals(page, run, seen)
@@ -378,9 +379,9 @@ def add_noise(page: Page, run: Run, errors: Floats | None) -> None:
 def _noise_figures(found: Noise) -> list[go.Figure]:
     names = ("position [mm]", "rotation [deg]")
     mean = dict(zip(names, found.allan.T, strict=True))
-    drawn = [figures.log_log(found.averaging_s, mean, "averaged over [s]", "Allan deviation")]
+    drawn = [run_figures.log_log(found.averaging_s, mean, "averaged over [s]", "Allan deviation")]
     if len(found.frequency_hz):
         density = dict(zip(names, found.density.T, strict=True))
         label = "density [per root Hz]"
-        drawn.append(figures.log_log(found.frequency_hz, density, "frequency [Hz]", label))
+        drawn.append(run_figures.log_log(found.frequency_hz, density, "frequency [Hz]", label))
     return drawn

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.viewing.report.figures import MAX_POINTS, state_timeline, thinned
+from measure.viewing.report.figures import MAX_POINTS, thinned
+from measure_lab.run_figures import state_timeline
 
 COUNT = 100_000
 

@@ -9,7 +9,6 @@ import numpy as np
 import plotly.graph_objects as go
 
 from measure.arrays import Floats, Ints
-from measure.viewing.state_colors import css
 
 AXIS_COLORS = {"x": "#d95f5f", "y": "#4fa35a", "z": "#4f7fd9", "3d": "#b8902e"}
 INK = "#808a96"
@@ -96,18 +95,6 @@ def _ends_without_spikes(values: Floats) -> tuple[float, float] | None:
     return float(near.min()) - margin, float(near.max()) + margin
 
 
-def log_log(
-    across: Floats, curves: Mapping[str, Floats], label: str, other_label: str
-) -> go.Figure:
-    """Curves (n,) by name over positive values (n,), both axes logarithmic."""
-    figure = blank(x=label, y=other_label)
-    for (name, values), color in zip(curves.items(), PALETTE, strict=False):
-        figure.add_scatter(x=across, y=values, name=name, mode="lines", line={"color": color})
-    figure.update_xaxes(type="log")
-    figure.update_yaxes(type="log", exponentformat="power")
-    return figure
-
-
 def histograms(
     values: Floats, names: Sequence[str], label: str, counted: str = "frame sets"
 ) -> go.Figure:
@@ -144,34 +131,6 @@ def residual_map(
     return figure
 
 
-def state_timeline(
-    times_s: Floats, codes: Ints, views: Sequence[str], reasons: Sequence[str]
-) -> go.Figure:
-    """Who saw what when, by codes (views, n) into `reasons`, 0 effective; the commonest if many."""
-    count = len(times_s)
-    ends = np.linspace(0, count, min(count, MAX_POINTS) + 1).astype(np.int64)
-    shown = codes if count <= MAX_POINTS else _commonest(codes, ends)
-    colors = [css(reason) for reason in reasons]
-    top = max(len(reasons) - 1, 1)
-    steps = [(code + end) / (top + 1) for code in range(len(reasons)) for end in (0, 1)]
-    figure = blank(90 + 22 * len(views), x="time since the start [s]")
-    figure.add_heatmap(
-        x=times_s[ends[:-1]],
-        y=list(views),
-        z=shown.astype(np.int8),
-        zmin=-0.5,
-        zmax=top + 0.5,
-        colorscale=list(zip(steps, np.repeat(colors, 2), strict=True)),
-        ygap=2,
-        showscale=False,
-    )
-    for reason, color in zip(reasons, colors, strict=True):
-        marker = {"symbol": "square", "size": 10, "color": color}
-        figure.add_scatter(x=[None], y=[None], mode="markers", marker=marker, name=reason)
-    figure.update_yaxes(autorange="reversed")
-    return figure
-
-
 def thinned(count: int, *curves: Floats) -> Ints:
     """Indices of what is drawn: all if few; else of each stretch what a longer drawing would show.
 
@@ -193,13 +152,3 @@ def _first_smallest(values: Floats, ends: Ints) -> Ints:
     smallest = np.minimum.reduceat(values, ends[:-1])
     at = np.flatnonzero(values == np.repeat(smallest, np.diff(ends)))
     return at[np.searchsorted(at, ends[:-1])]
-
-
-def _commonest(codes: Ints, ends: Ints) -> Ints:
-    """Of each stretch of codes (views, n) the commonest but 0; 0 where all are."""
-    counts = [
-        np.add.reduceat(codes == code, ends[:-1], axis=1) for code in range(1, int(codes.max()) + 1)
-    ]
-    if not counts:
-        return np.zeros((len(codes), len(ends) - 1), dtype=np.int64)
-    return np.where(np.any(counts, axis=0), 1 + np.argmax(counts, axis=0), 0)
