@@ -22,14 +22,13 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats, Ints
-from measure.geometry.covariance import MAD_TO_SD
+from measure.geometry.covariance import MAD_TO_SD, TUKEY_SIGMAS
 from measure.limits import MAX_STEPS
 from measure.model import Intrinsics
 
 BLUR_PX = 0.8  # Optics and colour mosaic together; the fits of recorded dots are best about here
 SUPERSAMPLING = 3
 _NUDGE_PX = 0.1
-_TUKEY_SDS = 4.7
 _UNEXPLAINED_RESIDUAL = 0.25
 
 Basis = Callable[[Floats], Floats]
@@ -90,7 +89,7 @@ def fit_pattern(
         whitened = (_residuals(values, weights, unknowns, basis) * root)[root > 0]
         misfit = MAD_TO_SD * float(np.median(np.abs(whitened))) + 1e-4
         t = np.zeros_like(values)
-        t[root > 0] = np.minimum(np.abs(whitened) / (_TUKEY_SDS * misfit), 1)
+        t[root > 0] = np.minimum(np.abs(whitened) / (TUKEY_SIGMAS * misfit), 1)
         robust = (1 - t**2) ** 2
         if np.abs(step).max() < 2e-3:
             break

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Bytes, Floats
 from measure.geometry import RigidTransform
+from measure.limits import MAX_STEPS
 from measure.model import Camera
 from measure.simulation.scene import Cuboid, Material
 
@@ -81,7 +82,6 @@ _TILT_RAD = np.deg2rad(28.0)
 _SHARED = 6  # Poses between two neighbours
 _EDGE_PX = 12.0  # Between the picture's edge and the corner nearest to it
 _OBLIQUE_RAD = np.deg2rad(55.0)  # Chessboards are found by a camera up to here, and not much beyond
-_TRIES = 50
 
 
 def _before(camera: Camera, points: Floats, rng: np.random.Generator) -> Iterator[RigidTransform]:
@@ -112,7 +112,7 @@ def _between(
     right = np.cross(away, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     facing = RigidTransform(np.column_stack([right, np.cross(away, right), away]), np.zeros(3))
-    for _ in range(_TRIES):
+    for _ in range(MAX_STEPS):
         turn = facing @ RigidTransform.from_rotvec(rng.uniform(-0.6, 0.6, 3) * _TILT_RAD)
         place = middle + rng.uniform(-45, 45, 3) - turn.rotate(points.mean(axis=0))
         pose = replace(turn, translation=place)
