@@ -11,7 +11,7 @@ from __future__ import annotations
 import ast
 import importlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
@@ -65,7 +65,7 @@ def constants(room: str) -> Iterator[Constant]:
                 yield Constant(module, name, value)
 
 
-def _places(seen: list[Body | None], time_s: float) -> list[tuple[Body, RigidTransform]]:
+def _places(seen: Sequence[Body | None], time_s: float) -> list[tuple[Body, RigidTransform]]:
     beside = RigidTransform.from_rotvec([0, 0, 1.5], TARGET + np.array([90.0, -40, 20]))
     return [(body or RAVEN, tracked.path(time_s) if body else beside) for body in seen]
 

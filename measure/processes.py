@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import importlib
 import math
 import multiprocessing
@@ -13,16 +12,13 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from multiprocessing.connection import wait
 from threading import Thread
 from types import FrameType, TracebackType
 from typing import Any, Protocol
 
 from measure.errors import ConfigError, MeasureError
-
-_M_ARENA_MAX = -8  # Of glibc's malloc.h
-_HEAPS = 2
 
 
 class Progress(Protocol):
@@ -170,16 +166,6 @@ def _limit(name: str) -> int:
     return sys.maxsize if limit == resource.RLIM_INFINITY else limit
 
 
-def share_heaps() -> None:
-    """Let the threads that are yet to begin allocate from two heaps, not from one each.
-
-    Those of threads that decode pictures grow and do not shrink: in twenty minutes of live
-    measurement with cameras that come and go they took 75 MB more. Only glibc has such heaps.
-    """
-    with suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, _HEAPS)
-
-
 def needed(
     module: str, extra: str, user: str = "it", error: type[MeasureError] = ConfigError
 ) -> Any:
@@ -214,36 +200,3 @@ def connected(address: str, option: str) -> Iterator[tuple[Any, Any]]:
         yield client, distributed
     finally:
         client.close()
-
-
-@contextmanager
-def until_stopped(stop: threading.Event | None = None) -> Iterator[threading.Event]:
-    """Turn the first interrupt (Ctrl-C) or termination of this process into an event.
-
-    A second Ctrl-C ends the process as usual. Outside the main thread, the only one that receives
-    signals, the event is not set by it.
-
-    Args:
-        stop: the event; a new one if omitted.
-
-    Yields:
-        Set once the work is to stop.
-    """
-    stop = stop or threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def on_signal(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
-        stop.set()
-        # A second termination means no more than the first: `timeout` sends two.
-        signal.signal(signal.SIGINT, before[signal.SIGINT])
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
