@@ -15,10 +15,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 BOUNDS = {
-    "code": 50_500,
-    "core": 26_300,  # 26,000 is wanted
+    "code": 50_400,
+    "core": 26_000,
     "kernels": 213,  # 150 is wanted
-    "constants": 1_200,  # numbers that are named in modules; 650 is wanted
+    "constants": 1_045,  # numbers that are named in modules; 650 is wanted
     "lines of a file": 400,
     "tests": 41_560,  # lines of their files; 30,000 is wanted
     "docs": 6_500,  # lines of pages
