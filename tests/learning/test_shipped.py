@@ -51,9 +51,8 @@ def test_the_scores_on_its_card_are_true() -> None:
     """Six restarts that it has not seen, judged by the true tip at the true time, once more."""
     model = OnnxModel.load(api.shipped_model())
     pairs = round(30.0 * PAPER_PAIRS / PAPER_MINUTES)
-    data, _ = simulated_dataset(
-        minutes=30.0, pairs=pairs, restarts=6, seed=101, labels=LabelKind(exact=True)
-    )
+    exact = LabelKind(exact=True)
+    data, _ = simulated_dataset(minutes=30, pairs=pairs, restarts=6, seed=101, labels=exact)
     assert list(data.present()) == model.card["data"]["test"]["trajectories"]
     assert not set(data.present()) & set(model.card["data"]["training"]["trajectories"])
     result, scores = evaluate(data, model.predict(data)), model.card["scores"]

@@ -201,7 +201,7 @@ def _shuffled(data: Dataset, columns: Sequence[int], seed: int) -> Dataset:
 def _with(data: Dataset, columns: Sequence[int], values: Floats) -> Dataset:
     states = data.states.copy()
     states[:, columns] = values
-    return replace(data, states=states)
+    return replace(data, states=states, turns=None)
 
 
 def _removed(estimator: Estimator, split: Split, columns: Sequence[int], seed: int) -> float:

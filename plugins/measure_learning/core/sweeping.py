@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -260,7 +260,7 @@ def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
     data = read_dataset(Path(job.data))
     if data.digest() != job.digest:
         raise EstimatorError(f"{job.data}: has changed since the sweep began: use another journal")
-    split = split_by_trajectory(data, seed=job.seed)
+    split = split_by_trajectory(replace(data, turns=None), seed=job.seed)
     registry = Registry.discover()
     estimator = registry.build(Estimator, job.estimator, {**job.settings, **settings})
     estimator.folds = 0  # the score is of corrections, not of covariances
