@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -99,7 +99,12 @@ def diagnose_recording(
             return diagnose(alone, squares)
     # What is followed lies near where it was expected: whole pictures tell more.
     whole = diagnose(evidence_of(*searched, (), body, cameras, gaps_s), squares)
-    return whole if whole.wrong or (whole.causes and not followed.wrong) else followed
+    if whole.wrong or (whole.causes and not followed.wrong):
+        return whole
+    if whole.fits:  # and leave nothing that is unknown
+        known = tuple(c for c in followed.causes if c.cause is not Word.UNKNOWN)
+        return replace(followed, causes=known)
+    return followed
 
 
 def _unknown(camera: str | None, others: Sequence[Cause]) -> Cause:
