@@ -18,13 +18,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.association.candidates import (
-    RADIUS_SD,
-    BallPoints,
-    Candidates,
-    by_ball,
-    intersect_rays,
-)
+from measure.measuring.association.candidates import BallPoints, Candidates, by_ball, intersect_rays
 from measure.measuring.association.hypotheses import (
     PoseScores,
     centers_of,
@@ -48,9 +42,6 @@ _RIVAL_MM = 8.0  # Poses count as different if some ball is this far apart
 _MAX_POINTS = 40  # Most possible centres kept per ball
 _MAX_ITERATIONS = 2
 _MAX_FINALISTS = 6
-_MIN_SCORE = 0.5  # Score of a detection whose outline's size is used
-_MAX_SQUARED_DEVIATION = 25.0
-"""Limit of one outline's squared radius error, in standard deviations: five of them."""
 _CONVERGED = 1e-3  # Steps, in mm and rad, that no longer change which candidates agree
 _TWIN_SHARE = 0.5  # Share of common candidates from which a rival pose is a twin of the best one
 
@@ -130,39 +121,14 @@ def _best(problem: _AssociationProblem, poses: RigidTransform) -> Association | 
             finalists.append(refined)
     if not finalists:
         return None
-    if len(finalists) > 1:
-        finalists.sort(
-            key=lambda item: _radius_deviation(problem, item[1]) / _MAX_SQUARED_DEVIATION - item[0]
-        )
+    finalists.sort(key=lambda item: -item[0])
     best_score, best = finalists[0]
     for score, rival in finalists[1:]:
         twin = _common_share(problem, rival, best) > _TWIN_SHARE
         least = _TWIN_SCORE if twin else _RIVAL_SCORE
-        if score >= least * best_score and not (twin and _sizes_decide(problem, best, rival)):
+        if score >= least * best_score:
             return Association(None, reason=_ambiguous(best, rival))
     return best
-
-
-def _sizes_decide(problem: _AssociationProblem, best: Association, rival: Association) -> bool:
-    """Whether the outlines' radii contradict the rival pose clearly more than the best one."""
-    return _radius_deviation(problem, rival) > _radius_deviation(problem, best) + _SIGMAS**2
-
-
-def _radius_deviation(problem: _AssociationProblem, found: Association) -> float:
-    """Sum of squared relative errors of the outlines' radii, in standard deviations."""
-    assert found.world_from_body is not None
-    cameras = {camera.name: camera for camera in problem.cameras}
-    total = 0.0
-    for d in found.detections:
-        if d.score < _MIN_SCORE:
-            continue
-        ball = problem.body.balls[problem.body.index(d.ball)]
-        away = found.world_from_body.apply(ball.center_mm) - cameras[d.camera].center
-        tangent = np.sqrt(max(float(away @ away) - ball.radius_mm**2, 1.0))
-        expected = cameras[d.camera].intrinsics.focal_px * ball.radius_mm / tangent
-        sd = np.hypot(RADIUS_SD, np.sqrt(d.variance_px2) / expected)
-        total += min(float(np.log(d.radius_px / expected) / sd) ** 2, _MAX_SQUARED_DEVIATION)
-    return total
 
 
 def _common_share(problem: _AssociationProblem, rival: Association, best: Association) -> float:
