@@ -196,8 +196,9 @@ def _agreements(
     if not common_s.max() > _MIN_MOTION_S:
         raise _too_little(cameras.times_s, robot.times_s)
     cross = [[_sliding(theirs, ours) for theirs in reported.T] for ours in measured.T]
-    u, values, v = np.linalg.svd(np.moveaxis(np.array(cross), 2, 0))
-    values[:, 2] *= np.sign(np.linalg.det(u @ v))
+    products = np.moveaxis(np.array(cross), 2, 0)
+    values = np.linalg.svd(products, compute_uv=False)
+    values[:, 2] *= np.sign(np.linalg.det(products))
     squares = _sliding(reported_known, (measured**2).sum(axis=1)) * _sliding(
         (reported**2).sum(axis=1), measured_known
     )
@@ -222,6 +223,12 @@ def _offsets(camera_s: Floats, robot_s: Floats, largest_s: float) -> Floats:
 def _sliding(long: Floats, short: Floats) -> Floats:
     """Sums of products of `short` with every stretch of `long`."""
     return np.asarray(correlate(long, short, mode="valid", method="fft"))
+
+
+def _stretches(long: Floats, length: int) -> Floats:
+    """Sums of every stretch of so many of `long`."""
+    sums = np.cumsum(np.pad(long, (1, 0)))
+    return np.asarray(sums[length:] - sums[:-length])
 
 
 def _refine(
@@ -276,14 +283,14 @@ def rough_offset(
     edge = len(ours) - least
     wide = np.pad(theirs, ((edge, edge), (0, 0)))
     within = np.pad(np.ones(len(theirs)), edge)
-    count = _sliding(within, np.ones(len(ours)))
-    columns = range(theirs.shape[1])
-    flat = np.ones(len(ours))
-    spread = np.array([[_sliding(wide[:, a] * wide[:, b], flat) for b in columns] for a in columns])
-    cross = np.array([[_sliding(wide[:, a], ours[:, b]) for b in range(ours.shape[1])]
-                      for a in columns])  # fmt: skip
-    S, X = np.moveaxis(spread, 2, 0) / count[:, None, None], np.moveaxis(cross, 2, 0)
-    X = X / count[:, None, None] / ours.std(axis=0)
+    count = _stretches(within, len(ours))
+    S = np.empty((len(count), wide.shape[1], wide.shape[1]))
+    X = np.empty((len(count), wide.shape[1], ours.shape[1]))
+    for a, theirs_a in enumerate(wide.T):
+        for b in range(a + 1):
+            S[:, a, b] = S[:, b, a] = _stretches(theirs_a * wide[:, b], len(ours)) / count
+        for b, ours_b in enumerate((ours / ours.std(axis=0)).T):
+            X[:, a, b] = _sliding(theirs_a, ours_b) / count
     floor = 1e-6 * np.trace(S, axis1=1, axis2=2).max() * np.eye(len(S[0]))
     explained = np.einsum("lab,lab->l", X, np.linalg.solve(S + floor, X)) / ours.shape[1]
     best = int(np.argmax(explained))
