@@ -84,4 +84,5 @@ def _alternating(pixels: Bytes) -> int:
     rows = pixels.astype(np.int16)
     up, down = rows[1:-1] - rows[:-2], rows[1:-1] - rows[2:]
     same = (np.minimum(up, down) > _COMB_LEVELS) | (np.maximum(up, down) < -_COMB_LEVELS)
-    return int(same.any(axis=2).sum())
+    blue, green, red = np.moveaxis(same, 2, 0)  # ten times as fast as `any` of an axis of three
+    return int(np.count_nonzero(blue | green | red))
