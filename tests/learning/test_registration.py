@@ -288,6 +288,6 @@ def test_mirrored_poses_are_refused_whatever_may_be_fitted() -> None:
 
 
 def test_a_search_without_end_is_refused(arm: Arm) -> None:
-    log = replace(arm.log, times_s=arm.log.times_s * 1000)
-    with pytest.raises(EstimatorError, match=r"too many to search|share less than|no clock offset"):
+    log = replace(arm.log, times_s=arm.log.times_s * 1e5)
+    with pytest.raises(EstimatorError, match="too many to search"):
         register([LoggedTrack(arm.track, log)], RegisterOptions(largest_offset_s=2e9))

@@ -271,9 +271,11 @@ def rough_offset(
 
     Returns:
         The offset, robot minus camera time, to a tenth of a second, and the share of the twists'
-        variance that the rates explain there; (nan, 0) if too little time is in common.
+        variance that the rates explain there; (nan, 0) for too little time in common, or too much.
     """
     start_s, robot_start_s = camera_times_s[0], robot_times_s[0]
+    if max(np.ptp(camera_times_s), np.ptp(robot_times_s)) > _MAX_COMPARED_S:
+        return float("nan"), 0.0
     ours = _on_grid(camera_times_s - start_s, twists)
     theirs = _on_grid(robot_times_s - robot_start_s, rates[:, rates.std(axis=0) > 0])
     least = round(max(_MIN_MOTION_S, 0.5 * min(len(ours), len(theirs)) / _ROUGH_HZ) * _ROUGH_HZ)
