@@ -101,10 +101,9 @@ def diagnose_recording(
     whole = diagnose(evidence_of(*searched, (), body, cameras, gaps_s), squares)
     if whole.wrong or (whole.causes and not followed.wrong):
         return whole
-    if whole.fits:  # and leave nothing that is unknown
-        known = tuple(c for c in followed.causes if c.cause is not Word.UNKNOWN)
-        return replace(followed, causes=known)
-    return followed
+    # What no camera alone contradicts, and all do not in whole pictures, is not unknown.
+    known = tuple(c for c in followed.causes if (c.cause, c.of) != (Word.UNKNOWN, ALL))
+    return replace(followed, causes=known) if known and whole.fits else followed
 
 
 def _unknown(camera: str | None, others: Sequence[Cause]) -> Cause:
