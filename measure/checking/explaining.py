@@ -129,7 +129,7 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
     noise = max(1.0, min(fit.left for fit in fits))
     most = max(here.cost - fit.cost for fit in fits)
     alike = [fit for fit in fits if here.cost - fit.cost >= _enough(evidence, fit, most, noise)]
-    alike.sort(key=lambda f: (_price(f.hypotheses[-1], evidence), f.cost - noise * _usual(f)))
+    alike.sort(key=lambda fit: (_price(fit.hypotheses[-1], evidence), fit.cost))
     best, *others = alike
     gain = here.cost - best.cost
     price = max(_price(best.hypotheses[-1], evidence), _RARE_PRICE * _at_gap(evidence, best))
@@ -160,11 +160,6 @@ def _enough(evidence: Evidence, fit: Fit, most: float, noise: float) -> float:
     """The gain in chi-square from which it explains as much as what gains most."""
     share = _GAP_SHARE if _at_gap(evidence, fit) else _RIVAL_SHARE
     return most - max(_RIVAL_GAIN * noise, share * most)
-
-
-def _usual(fit: Fit) -> float:
-    """Chi-square by which another may fit better than a wrong square of a printed board."""
-    return _RIVAL_GAIN if fit.hypotheses[-1].word is Word.SCALE else 0.0
 
 
 def _at_gap(evidence: Evidence, fit: Fit) -> bool:
