@@ -5,6 +5,7 @@ Balls found in whole pictures are associated as they are, and as each such mista
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
@@ -110,7 +111,8 @@ def arrangement_causes(
     found: list[tuple[int, _Exchanged | _TurnedOver]] = []
     for mistake in _mistakes(by_name):
         undone = (mistake.undone(one, by_name) for one, _ in some)
-        agreeing = _agreeing(search_sample(one, body, cameras, 0.0) for one in undone)
+        again = (search_sample(one, body, cameras, 0.0) for one in undone)
+        agreeing = _agreeing(sample for sample in again if _shown_by(mistake.names, sample))
         if agreeing >= _BELIEVED * len(some):
             found.append((agreeing, mistake))
     least = min((len(mistake.names) for _, mistake in found), default=0)
@@ -153,3 +155,9 @@ def _tells(seen: Seen) -> bool:
 def _agreeing(searched: Iterable[SearchSample]) -> int:
     """In how many frame sets the body was found, and no camera sees balls elsewhere."""
     return sum(s.world_from_body is not None and not s.disagreeing_cameras for s in searched)
+
+
+def _shown_by(names: Sequence[str], sample: SearchSample) -> bool:
+    """Whether cameras show the body that was found: one ball alone may lie there by chance."""
+    count = Counter(detection.camera for detection in sample.agreeing)
+    return all(count[name] > 1 for name in names)
