@@ -20,7 +20,7 @@ BOUNDS = {
     "kernels": 213,  # 150 is wanted
     "constants": 1_045,  # numbers that are named in modules; 650 is wanted
     "lines of a file": 400,
-    "tests": 41_560,  # lines of their files; 30,000 is wanted
+    "tests": 41_575,  # lines of their files; 30,000 is wanted
     "docs": 6_500,  # lines of pages
     "starred tuples": 0,  # calls with a local tuple and a star
     "long signatures": 0,  # of more than 8 parameters

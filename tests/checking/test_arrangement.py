@@ -142,3 +142,12 @@ def test_of_two_explanations_none_is_named(y_mm, said):
         for k, at in enumerate(places)
     }
     assert len(found(exchanged(seen(cameras), "cam0", "cam1"), cameras)) == said
+
+
+def test_one_ball_that_falls_into_place_is_chance():
+    cameras = rig(5)
+    over, down = turned(seen(cameras), True, False, "cam4"), np.array([0, 250.0])
+    for one in over:
+        first, *others = one["cam4"]
+        one["cam4"] = [first, *(replace(d, center_px=d.center_px + down) for d in others)]
+    assert not findings(over, cameras)
