@@ -150,9 +150,9 @@ def _together(
     sized: Sequence[Cause],
 ) -> list[Cause]:
     """Causes from all sources, the most certain first; what another explains is left out."""
-    known = [c for c in diagnosis.causes if c.cause is not Word.UNKNOWN and c.explains > _MOST]
     if file := [c for c in shape if c.cause in _FILE]:
         return beside(pictures, file)  # poses rest on those balls alone that fit the file
+    known = [c for c in diagnosis.causes if c.cause is not Word.UNKNOWN and c.explains > _MOST]
     blamed = {cause.of for cause in known}
     elsewhere = [c for c in disagreeing_causes(searched) if not blamed & {ALL, c.of}]
     rest = [*elsewhere, *diagnosis.causes]

@@ -91,12 +91,10 @@ def diagnose_recording(
         return followed
     if followed.unexplained:  # In light of another colour a search finds other things than balls
         alone = evidence_of((), (), measured, body, cameras, gaps_s)
-        if (
-            alone is not None
-            and not alone.hardly_seen()
-            and diagnose(alone).misfit < _WELL_EXPLAINED
-        ):
-            return diagnose(alone, squares)
+        if alone is not None and not alone.hardly_seen():
+            tracked = diagnose(alone, squares)
+            if tracked.misfit < _WELL_EXPLAINED:
+                return tracked
     # What is followed lies near where it was expected: whole pictures tell more.
     whole = diagnose(evidence_of(*searched, (), body, cameras, gaps_s), squares)
     if whole.wrong or (whole.causes and not followed.wrong):

@@ -270,7 +270,6 @@ class _Normal(NamedTuple):
         residuals, by_pose, _ = linear
         length = np.linalg.norm(residuals, axis=1)
         weight = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(length, 1e-9))
-        inside = np.minimum(length, _HUBER_SIGMAS)
         weighted = weight[:, None, None] * np.swapaxes(by_pose, 1, 2)
         count, q = len(evidence.times_s), by_others.shape[2]
         V = np.zeros((count, 6, 6))
@@ -285,9 +284,14 @@ class _Normal(NamedTuple):
         np.add.at(normal, evidence.instants, np.swapaxes(own, 1, 2) @ by_others)
         np.add.at(right, evidence.instants, np.einsum("niq,ni->nq", own, residuals))
         steps = np.einsum("kij,kj->ki", inverse, h)
-        cost = float(np.sum(inside * (2 * length - inside)))
-        capped = float(np.sum(inside * (2 * np.minimum(length, _WORST_SIGMAS) - inside)))
+        cost, capped = _huber(length), _huber(np.minimum(length, _WORST_SIGMAS))
         return cls(normal, right, own, steps, adapts, cost, capped)
+
+
+def _huber(lengths: Floats) -> float:
+    """The sum of squares, of which those far out count by their lengths."""
+    inside = np.minimum(lengths, _HUBER_SIGMAS)
+    return float(np.sum(inside * (2 * lengths - inside)))
 
 
 def _inverses(matrices: Floats) -> Floats:

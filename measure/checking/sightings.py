@@ -98,10 +98,11 @@ def _motions(
         before, after = poses[max(k - REACH, 0) : k], poses[k + 1 : k + 1 + REACH]
         motion, velocity = motion_at(poses[k], before, after), np.zeros(6)
         if motion is not None and motion.velocity_covariance is not None:
-            # A slow body's shows over a longer time, in which it hardly changes.
-            both = [(motion.velocity, motion.velocity_covariance), _steady(poses[k], before, after)]
-            sure = [own for own, noise in both if squared_mahalanobis(own, noise) >= gate]
-            velocity = next(iter(sure), velocity)
+            own, noise = motion.velocity, motion.velocity_covariance
+            if squared_mahalanobis(own, noise) < gate:  # a slow body's shows over a longer time
+                own, noise = _steady(poses[k], before, after)
+            if squared_mahalanobis(own, noise) >= gate:
+                velocity = own
         yield poses[k].world_from_body, velocity
 
 

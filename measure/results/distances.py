@@ -117,8 +117,8 @@ def rig_notes(
     gaps_s = gaps_alone({camera.name: _stamps(detections, camera.name) for camera in cameras})
     evidence = Evidence.of(sightings, body, cameras, gaps_s=gaps_s) if enough else None
     diagnosis = diagnose(evidence)
-    causes = [_told(cause, evidence) for cause in diagnosis.causes if evidence]
-    causes = [] if diagnosis.doubtful else causes
+    said = () if diagnosis.doubtful else diagnosis.causes
+    causes = [_told(cause, evidence) for cause in said if evidence]
     reasons = filter(None, pc.unique(poses["reason"]).to_pylist())
     woven = woven_causes(woven_cameras(list(reasons)), len(cameras))
     told = () if causes or woven else contradictions(body, distances)
