@@ -10,7 +10,6 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.measuring.association import associate
-from measure.measuring.tracking.predictive.pose_checks import disagreeing_cameras
 from measure.model import Body, Camera, Detection
 
 _RADIUS_RATIO = 1.25
@@ -110,5 +109,5 @@ def search_sample(
         tuple(nearest),
         "",
         found.flags,
-        disagreeing_cameras(found, body, cameras, detections),
+        found.disagreeing,
     )

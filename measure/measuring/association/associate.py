@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,6 +42,7 @@ _RIVAL_MM = 8.0  # Poses count as different if some ball is this far apart
 _MAX_POINTS = 40  # Most possible centres kept per ball
 _MAX_ITERATIONS = 2
 _MAX_FINALISTS = 6
+_MIN_SCORE = 0.5  # Score of a candidate that is taken for a ball
 _CONVERGED = 1e-3  # Steps, in mm and rad, that no longer change which candidates agree
 _TWIN_SHARE = 0.5  # Share of common candidates from which a rival pose is a twin of the best one
 
@@ -56,6 +57,8 @@ class Association:
     rms_px: float = float("nan")  # RMS distance of the chosen candidates from the pose
     reason: str = ""  # why there is no pose, in words; empty if there is one
     flags: tuple[str, ...] = ()
+    # cameras that see two or more balls well, but none where the body found should appear
+    disagreeing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +96,26 @@ def associate(
         if found.world_from_body is None:
             return found
         flags = second_body_flags(found.world_from_body, body, cameras, candidates, _SIGMAS)
-        return replace(found, flags=flags)
+        against = tuple(_disagreeing(found, body, cameras, detections))
+        return replace(found, flags=flags, disagreeing=against)
     return Association(None, reason=_why_none(body, candidates, points))
+
+
+def _disagreeing(
+    found: Association,
+    body: Body,
+    cameras: Sequence[Camera],
+    detections: Mapping[str, Sequence[Detection]],
+) -> Iterator[str]:
+    """Cameras that see two or more balls well, but none where the body should appear."""
+    assert found.world_from_body is not None
+    centers = found.world_from_body.apply(body.centers)
+    agreeing = {d.camera for d in found.detections}
+    for camera in (camera for camera in cameras if camera.name not in agreeing):
+        in_view = int(np.sum(camera.intrinsics.contains(camera.project(centers))))
+        good = {d.ball for d in detections.get(camera.name, ()) if d.score >= _MIN_SCORE}
+        if len(good) >= 2 and (in_view >= 2 or in_view == 0):
+            yield camera.name
 
 
 def second_body(

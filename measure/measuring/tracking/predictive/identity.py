@@ -7,10 +7,13 @@ now and then; the doubt ends when they show the body alone.
 
 from __future__ import annotations
 
-from measure.arrays import Floats
-from measure.measuring.tracking.predictive.motion_filter import MotionState
-from measure.measuring.tracking.predictive.pose_checks import implausible_motion
+import numpy as np
 
+from measure.arrays import Floats
+from measure.geometry import chi_square_quantile
+from measure.measuring.tracking.predictive.motion_filter import MotionState
+
+_MOTION_CONFIDENCE = 0.9999
 _REVIEW_EVERY_S = 0.5
 _REVIEWS_ALONE = 3  # Reviews in a row that must show no other body: one may be hidden for a moment
 
@@ -49,7 +52,7 @@ class IdentityDoubt:
         moved: tuple[str, ...] = ()
         if self._restart is not None:
             known = state is not None and state.accelerations_known
-            moved = implausible_motion(*self._restart, observed if known else acceleration)
+            moved = _implausible_motion(*self._restart, observed if known else acceleration)
             if not moved:
                 self._restart = None
         self._raised = bool(self._second_body or moved)
@@ -70,3 +73,24 @@ class IdentityDoubt:
         self._alone += 1
         if self._alone >= _REVIEWS_ALONE:
             self._second_body, self._restart, self._raised = (), None, False
+
+
+def _implausible_motion(
+    lost: MotionState | None, found: MotionState, acceleration_sd: Floats
+) -> tuple[str, ...]:
+    """A flag if a body was found further from where it was lost than it can have moved.
+
+    Args:
+        lost: the motion when the body was last seen; None if it never was.
+        acceleration_sd: (6,) as in `MotionState.at`.
+    """
+    if lost is None:
+        return ()
+    expected = lost.at(found.time_s, acceleration_sd)
+    step = found.world_from_body.difference(expected.world_from_body)
+    noise = expected.covariance[:6, :6] + found.covariance[:6, :6]
+    if step @ np.linalg.solve(noise, step) < chi_square_quantile(_MOTION_CONFIDENCE, 6):
+        return ()
+    moved = np.linalg.norm(found.world_from_body.translation - lost.world_from_body.translation)
+    text = f"found {moved:.0f} mm from where it was {found.time_s - lost.time_s:.2f} s before"
+    return (f"{text}, further than it can have moved: this may be another body",)

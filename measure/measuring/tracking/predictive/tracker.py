@@ -18,77 +18,22 @@ from measure import model
 from measure.arrays import Floats
 from measure.estimation.multiview import calibration_noise
 from measure.geometry import chi_square_quantile
-from measure.host import Conclusion, Review, Settings, Tracker, setting
+from measure.host import Conclusion, Review, Settings, Tracker
 from measure.measuring import association
 from measure.measuring.association import Association, associate, second_body
-from measure.measuring.tracking.predictive import pose_checks
-from measure.measuring.tracking.predictive.camera_bias import CameraBiasMonitor
 from measure.measuring.tracking.predictive.gating import gate_observations
 from measure.measuring.tracking.predictive.identity import IdentityDoubt
 from measure.measuring.tracking.predictive.motion_filter import MotionState, initial_state, per_axis
-from measure.measuring.tracking.predictive.pose_checks import consistency_flags, single_view_balls
+from measure.measuring.tracking.predictive.pose_checks import PoseChecks, too_uncertain
+from measure.measuring.tracking.predictive.residual_table import ResidualTable
 from measure.measuring.tracking.predictive.search_windows import SearchWindows, predict_windows
+from measure.measuring.tracking.predictive.settings import PredictiveConfig
 from measure.model import Rig
 from measure.model.observations import Reason, State
 
 _EXTRA_SD = np.repeat([0.02, 0.0005], 3)
 """Standard deviations (mm, rad) added to a measured pose in the filter: systematic errors."""
 _SUSPICIOUS = (Reason.JUMPED, Reason.COLOR, Reason.INCONSISTENT)
-
-
-class PredictiveConfig(Settings):
-    """Settings of tracking in SE(3)."""
-
-    acceleration_mm_s2: float = setting(
-        1500.0, "Standard deviation of the body's acceleration.", unit="mm/s^2", gt=0
-    )
-    angular_acceleration_rad_s2: float = setting(
-        15.0, "Standard deviation of its angular acceleration.", unit="rad/s^2", gt=0
-    )
-    speed_mm_s: float = setting(
-        60.0, "Standard deviation of the speed of a body just found.", unit="mm/s", gt=0
-    )
-    angular_speed_rad_s: float = setting(
-        0.7, "Standard deviation of its angular speed.", unit="rad/s", gt=0
-    )
-    confidence: float = setting(
-        0.9999, "Share of correct detections that every gate lets pass.", gt=0.5, lt=1
-    )
-    systematic_px: float = setting(
-        0.5,
-        "Systematic error of a detection, added to its standard deviation in every gate.",
-        unit="px",
-        ge=0,
-    )
-    view_bias_px: float = setting(
-        0.3,
-        "Standard deviation of a ball-view's own bias besides its noise, where all ball-views "
-        "together are tested against the pose.",
-        unit="px",
-        ge=0,
-    )
-    reach_sigmas: float = setting(3.5, "Standard deviations of the prediction to search.", gt=0)
-    min_reach_px: float = setting(3.0, "Least reach of a search.", unit="px", gt=0)
-    radius_slack: float = setting(0.15, "Relative error of an outline's radius.", gt=0, lt=1)
-    recover_frames: int = setting(
-        1, "Frames in which a suspended detection must be good before it counts again.", ge=0
-    )
-    lost_after: int = setting(
-        3, "Frames without an accepted pose before whole frames are searched.", ge=1
-    )
-    max_gap_s: float = setting(0.5, "A longer pause than this ends the prediction.", unit="s", gt=0)
-    min_color_match: float = setting(
-        0.15, "Least share of a ball's inside that has its colour, where that is checked.", ge=0
-    )
-    max_rms_px: float = setting(
-        2.5, "A pose with larger reprojection errors is flagged.", unit="px", gt=0
-    )
-    max_sd_mm: float = setting(
-        2.0, "A pose with a larger standard deviation is flagged.", unit="mm", gt=0
-    )
-    distance_tolerance_mm: float = setting(
-        1.0, "Error of a distance between two balls that is never flagged.", unit="mm", ge=0
-    )
 
 
 class PredictiveTracker(Tracker):
@@ -106,12 +51,10 @@ class PredictiveTracker(Tracker):
         self._acceleration = per_axis(config.acceleration_mm_s2, config.angular_acceleration_rad_s2)
         self._speed = per_axis(config.speed_mm_s, config.angular_speed_rad_s)
         self._acceleration_bound = self._acceleration
-        self._camera_bias = CameraBiasMonitor(body, cameras, config.view_bias_px, config.confidence)
+        self._checks = PoseChecks(config)
         self._state: MotionState | None = None
         self._windows: SearchWindows | None = None
         self._found: Association | None = None
-        self._disagreeing: tuple[str, ...] = ()
-        self._confirmed: set[str] = set()
         self._identity = IdentityDoubt()
         self._last_state: MotionState | None = None
         self._recovering: dict[tuple[str, str], int] = {}
@@ -184,25 +127,17 @@ class PredictiveTracker(Tracker):
             reason = self._found.reason if self._found is not None else ""
             self._missed()
             return Conclusion(None, reason or "too few balls agree with the prediction")
-        c = self.config
-        hard = pose_checks.hard_flags(
-            pose, positions, views, self.body, self.cameras, c.distance_tolerance_mm, c.max_rms_px
-        )
-        soft = pose_checks.soft_flags(pose, views, c.max_sd_mm) + self._disagreement(views)
+        bias_px = self.config.view_bias_px
+        table = ResidualTable(pose, views, residuals_px, self.body, self.cameras, bias_px)
+        hard = self._checks.hard(table, positions)
+        new = self._state is not None and self._state.new
+        new_at_s = [image.time_s for image in frame_set.images.values() if new]
+        soft = self._checks.soft(table, partial(self.motion, pose.time_s), new_at_s)
         soft += self._identity.flags(self._state, self._acceleration, self._acceleration_bound)
-        soft += pose_checks.unconfirmed_balls(views, self.body, self._confirmed)
-        if self._state is not None and self._state.new:
-            soft += pose_checks.unstable_initialisation(
-                views, [image.time_s for image in frame_set.images.values()]
-            )
-        soft += consistency_flags(pose, views, positions, self.body, c.view_bias_px, c.confidence)
-        motion = partial(self.motion, pose.time_s)
-        soft += self._camera_bias.flags(pose, views, residuals_px, motion)
-        soft += single_view_balls(pose, views, self.body, self.cameras)
         flags = tuple(dict.fromkeys((*pose.flags, *hard, *soft)))
         if hard:
             self._missed()
-        elif pose_checks.too_uncertain(pose, self.body):
+        elif too_uncertain(pose, self.body):
             self._forget()
         elif self._state is not None:
             self._misses = 0
@@ -228,10 +163,7 @@ class PredictiveTracker(Tracker):
                 self._last_state,
             )
             self._identity.begin(found.flags, self._last_state, self._state)
-            self._disagreeing = pose_checks.disagreeing_cameras(
-                found, self.body, present, detections
-            )
-            self._confirmed = set()
+            self._checks.begin(found.disagreeing)
         chosen = {(d.camera, d.ball): d for d in found.detections}
         seen = {(d.camera, d.ball) for some in detections.values() for d in some}
         return tuple(
@@ -289,14 +221,6 @@ class PredictiveTracker(Tracker):
         if reason is not Reason.NONE and reason in _SUSPICIOUS:
             self._recovering[key] = self.config.recover_frames
         return reason
-
-    def _disagreement(self, views: Sequence[model.BallView]) -> tuple[str, ...]:
-        """Flags of cameras that disagreed with the search and still have no effective view."""
-        if not self._disagreeing:
-            return ()
-        agreeing = {view.camera for view in views if view.effective}
-        self._disagreeing = tuple(name for name in self._disagreeing if name not in agreeing)
-        return pose_checks.disagreement_flags(self._disagreeing)
 
     def _missed(self) -> None:
         """Count a frame set without an accepted pose; forget the body at once after a search."""
