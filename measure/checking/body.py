@@ -18,11 +18,11 @@ from measure.errors import DegenerateGeometryError
 from measure.estimation.body_layout import looks_mirrored, thickness
 from measure.geometry.covariance import MAD_TO_SD
 from measure.geometry.transform import align_points
+from measure.limits import SIGNIFICANT_SIGMAS
 from measure.measuring.association.candidates import by_ball, intersect_rays
 from measure.measuring.ball_radii import OutlineGrowth
 from measure.model import Body, Camera, Detection
 
-_SIGMAS = 4.0
 _MAX_PLANAR_MM = 1.0
 _SAME_DISTANCE_MM = 1.0
 _MAX_BALLS_PERMUTED = 6
@@ -49,7 +49,9 @@ class Compared:
 
     def may_be(self, length_mm: float) -> bool:
         """Whether the length may be this one."""
-        return abs(self.measured_mm - length_mm) <= _SIGMAS * self.sd_mm + self.tolerance_mm
+        return (
+            abs(self.measured_mm - length_mm) <= SIGNIFICANT_SIGMAS * self.sd_mm + self.tolerance_mm
+        )
 
 
 def layout_causes(distances: Sequence[Compared], body: Body) -> list[Cause]:
@@ -243,7 +245,7 @@ def locate_balls(
     """Balls where the rays of most cameras intersect, in whole frames, if no colour repeats."""
     centers, variances, radii = {}, {}, {}
     for ball, candidates in zip(body.balls, by_ball(detections, body.balls, cameras), strict=True):
-        points = intersect_rays(candidates, _SIGMAS, _RANGE_RATIO, max_points=1)
+        points = intersect_rays(candidates, SIGNIFICANT_SIGMAS, _RANGE_RATIO, max_points=1)
         if not len(points.points) or points.support[0] < min(3, len(cameras)):
             continue
         centers[ball.name] = points.points[0]

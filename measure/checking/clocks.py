@@ -18,10 +18,10 @@ from measure.checking.evidence import CLOCK, ROLL, TRACKED_PX, Evidence
 from measure.checking.explaining import fitted
 from measure.checking.hypotheses import Hypothesis
 from measure.checking.sightings import followed_evidence
+from measure.limits import SIGNIFICANT_SIGMAS
 from measure.measuring.measurement import Measurement
 from measure.model import Body, Camera
 
-_SIGNIFICANT_SIGMAS = 4.0
 _MIN_INSTANTS = 5
 _FARTHEST_S = 30.0  # A clock beyond has diverged
 _MAX_READOUT_SD_S = 0.008
@@ -43,12 +43,12 @@ class CameraClock:
     @property
     def offset_visible(self) -> bool:
         """Whether the offset is significant."""
-        return abs(self.offset_s) > _SIGNIFICANT_SIGMAS * self.offset_sd_s
+        return abs(self.offset_s) > SIGNIFICANT_SIGMAS * self.offset_sd_s
 
     @property
     def rolling(self) -> bool:
         """Whether the readout time is significant."""
-        return abs(self.readout_s) > _SIGNIFICANT_SIGMAS * self.readout_sd_s
+        return abs(self.readout_s) > SIGNIFICANT_SIGMAS * self.readout_sd_s
 
 
 def estimate_clocks(

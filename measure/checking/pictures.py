@@ -14,6 +14,7 @@ import numpy as np
 from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.checking.causes import ALL, Cause, Word
 from measure.checking.finding import Finding, Level
+from measure.limits import CLEAR_RATIO, GAP_PERIODS, MOST_LISTED
 from measure.measuring.duplicate_images import DuplicateImages
 from measure.model import Detection, FrameSet
 from measure.model.frames import FULL
@@ -21,9 +22,7 @@ from measure.session.timestamps import StampErrors
 
 _NOTE_SHARE, _WEAK_SHARE = 0.02, 0.5
 """Largest shares of duplicates that are only noted, and that only weaken the results."""
-_DROPPED_STEPS = 1.5  # A gap longer than this, in periods, has dropped frames
 _MAX_DROPPED_SHARE = 0.02
-_MAX_FRAMES_NAMED = 8
 
 
 class DuplicateCount:
@@ -100,7 +99,7 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
         return [Finding(Level.WEAK, "frames", f"{camera}: only {len(times_s)} frames")]
     steps = np.diff(times_s)
     period = float(np.median(steps))
-    gaps = np.nonzero(steps > _DROPPED_STEPS * period)[0]
+    gaps = np.nonzero(steps > GAP_PERIODS * period)[0]
     lost = int(np.sum(np.rint(steps[gaps] / period) - 1))
     notes = StampErrors.of(times_s).notes
     if burst_causes({camera: times_s}):
@@ -120,8 +119,7 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
     return out
 
 
-_BURST_STEPS, _LEAST_BURSTS = 3.0, 3
-"""Mean step in median steps, from which pictures come in bursts; and of how many that is known."""
+_LEAST_BURSTS = 3  # From which on it is known that pictures come in bursts
 
 
 def stamp_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
@@ -134,9 +132,9 @@ def burst_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
     out = []
     for camera, own in times_s.items():
         steps = np.diff(own)
-        gaps = np.nonzero(steps > _DROPPED_STEPS * np.median(steps))[0] if len(steps) else steps
+        gaps = np.nonzero(steps > GAP_PERIODS * np.median(steps))[0] if len(steps) else steps
         sizes = np.diff(gaps)
-        if len(gaps) < _LEAST_BURSTS or np.mean(steps) < _BURST_STEPS * np.median(steps):
+        if len(gaps) < _LEAST_BURSTS or np.mean(steps) < CLEAR_RATIO * np.median(steps):
             continue
         size = int(np.median(sizes))
         if size < 2 or np.mean(np.abs(sizes - size) <= 1) < 0.8:
@@ -198,7 +196,7 @@ def gaps_alone(times_s: Mapping[str, Floats]) -> dict[str, Floats]:
         others = np.sort(np.concatenate([t for n, t in times_s.items() if n != name] or [own]))
         steps = np.diff(own)
         period = float(np.median(steps)) if len(steps) else 0.0
-        wide = steps > _DROPPED_STEPS * period
+        wide = steps > GAP_PERIODS * period
         first, last = own[:-1][wide], own[1:][wide]
         inside = np.searchsorted(others, last) - np.searchsorted(others, first, side="right")
         out[name] = np.stack([first, last - first - period], axis=1)[inside > 0]
@@ -209,8 +207,8 @@ def damage_findings(camera: str, frames: Sequence[int], count: int) -> list[Find
     """One line if images, of `count` examined, are damaged: `frames` are their numbers."""
     if not frames:
         return []
-    named = ", ".join(map(str, frames[:_MAX_FRAMES_NAMED])) + (
-        ", ..." if len(frames) > _MAX_FRAMES_NAMED else ""
+    named = ", ".join(map(str, frames[:MOST_LISTED])) + (
+        ", ..." if len(frames) > MOST_LISTED else ""
     )
     which = "frames" if len(frames) > 1 else "frame"
     text = (

@@ -18,6 +18,7 @@ from measure.checking.body import outline_sizes
 from measure.errors import DegenerateGeometryError, SessionError
 from measure.estimation.body_layout import looks_mirrored
 from measure.geometry.covariance import MAD_TO_SD
+from measure.limits import SIGNIFICANT_SIGMAS
 from measure.measuring.association.candidates import by_ball, intersect_rays
 from measure.model import Ball, BallColor, Body, Camera, Detection
 
@@ -27,12 +28,12 @@ _SEARCHED = (
     f"; searched for {', '.join(color for group in PALETTES for color in group)}: --like gives the "
     "colours of other balls"
 )
-_SIGMAS, _RANGE_RATIO = 4.0, 2.5
+_RANGE_RATIO = 2.5
 _FEWEST_FRAMES = 6
 _LEAST_SHARE = 0.3  # Of the frame sets, in which a ball must be located
 _ALIKE = 0.2  # Relative difference of outlines up to which they are of balls of one size
 _RIGID_RADII = 0.1  # Scatter of a distance, in radii, up to which it counts as constant
-_LEAST_SIZE_SD, _SIZE_SIGMAS = 0.015, 4.0
+_LEAST_SIZE_SD = 0.015
 """Relative standard deviation of all sizes by their outlines at best; how far off is wrong."""
 _TWINS = 0.5
 """Share of a ball's frame sets with a second one of its colour from which there are two."""
@@ -70,7 +71,7 @@ def locate(
     """
     out, least = {}, min(least, len(cameras))
     for ball, candidates in zip(body.balls, by_ball(detections, body.balls, cameras), strict=True):
-        found = intersect_rays(candidates, _SIGMAS, _RANGE_RATIO, max_points=8)
+        found = intersect_rays(candidates, SIGNIFICANT_SIGMAS, _RANGE_RATIO, max_points=8)
         points = found.points[found.support >= least]
         if not len(points):
             continue
@@ -178,7 +179,7 @@ def _check_size(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], 
     """Refuse a size that the outlines contradict, at distances by the calibration's scale."""
     seen = [f[name] for f in frames for name in names if name in f]
     sd = np.median([ball.radius_sd_mm for ball in seen]) / body.radii[0] / np.sqrt(len(seen))
-    if told := wrong_size(frames, body, _SIZE_SIGMAS * float(np.hypot(sd, _LEAST_SIZE_SD))):
+    if told := wrong_size(frames, body, SIGNIFICANT_SIGMAS * float(np.hypot(sd, _LEAST_SIZE_SD))):
         raise SessionError(f"--radius-mm {body.radii[0]:g}: {told}")
 
 

@@ -12,13 +12,13 @@ from measure.checking.causes import Cause
 from measure.checking.diagnosis import diagnose
 from measure.checking.finding import Level
 from measure.checking.sightings import evidence_of
+from measure.limits import SPREAD_OVER
 from measure.measuring.measurement import Measurement
 from measure.model import Body, Camera
 
 EVERY_S = 15.0
 """Between two looks, which cost 0.1 s of a core each."""
-_WINDOW, _INSTANTS = 300, 24
-"""Latest frame sets, and how many of them, evenly spread, are looked at."""
+_WINDOW = 300  # Latest frame sets, of which some, evenly spread, are looked at
 
 
 class RigWatch:
@@ -49,7 +49,7 @@ class RigWatch:
             self._due_s = measured.time_s + self._every_s
 
     def _looked(self, measured: Sequence[Measurement]) -> list[Cause]:
-        evidence = evidence_of((), (), measured, self._body, self._cameras, most=_INSTANTS)
+        evidence = evidence_of((), (), measured, self._body, self._cameras, most=SPREAD_OVER)
         try:
             return [c for c in diagnose(evidence).causes if c.level is Level.WRONG]
         except np.linalg.LinAlgError:  # nothing finite was seen: the next look is due soon

@@ -18,6 +18,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.estimation.multiview import calibration_noise
 from measure.geometry import chi_square_quantile, propagate, squared_mahalanobis
+from measure.limits import TINY
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose, Rig
 from measure.model.observations import Reason
 
@@ -25,8 +26,6 @@ By = Literal["ball", "camera"]
 ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED)
 """Reasons of a ball detected at another place than predicted."""
 _MIN_SIGHTINGS = 2
-_UNSEEN = 1e-12
-"""Added to normal matrices: nothing is known of a ball's distance along a ray of all cameras."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +93,7 @@ class ResidualTable:
         weights = weights * np.array([[name == group for name in names] for group in groups])
         squares = np.swapaxes(columns, 1, 2) @ columns
         normal = (weights @ squares.reshape(len(seen), -1)).reshape(-1, size, size)
-        normal += _UNSEEN * np.eye(size)
+        normal += TINY * np.eye(size)  # Along a ray of all cameras nothing is known of a distance
         right = weights @ (off_px[:, None] @ columns)[:, 0]
         offsets = np.linalg.solve(normal, right[..., None])[..., 0]
         gate = chi_square_quantile(confidence, size)
