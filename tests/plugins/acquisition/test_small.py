@@ -26,8 +26,8 @@ def picture(size_wh, discs, noise=3.0, seed=0):
     for color, x, y, radius in discs:
         center = round(x * 16), round(y * 16)
         cv2.circle(pixels, center, round(radius * 16), BGR[color], -1, cv2.LINE_AA, 4)
-    grain = np.random.default_rng(seed).normal(scale=noise, size=(height, width, 1))
-    return np.clip(pixels + grain, 0, 255).astype(np.uint8)
+    grain = noise * np.random.default_rng(seed).standard_normal((height, width), np.float32)
+    return cv2.add(pixels, cv2.cvtColor(grain, cv2.COLOR_GRAY2BGR), dtype=cv2.CV_8U)
 
 
 def camera_of_size(width, height):

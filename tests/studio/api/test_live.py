@@ -359,7 +359,8 @@ def test_a_camera_that_is_away_is_told_in_lines_and_rows(session, tmp_path, caps
     first = without[0]["time_s"]
     assert outage["since_s"] - 3 * PERIOD_S < first < outage["since_s"] + 3 * PERIOD_S + 1.0
     assert not [row for row in rows if row["time_s"] < first and "away" in row["reason"]]
-    assert [row["reason"] for row in rows[-3:]] == ["", "", ""]
+    # The last one may lack pictures that were on their way when it was interrupted.
+    assert [row["reason"] for row in rows[-4:-1]] == ["", "", ""]
     text = "".join(path.read_text("utf-8", "replace") for path in out.iterdir())
     assert LOGIN.partition(":")[2] not in text + printed.err + printed.out
     assert TOKEN not in text + printed.err + printed.out
