@@ -22,14 +22,21 @@ import cv2
 import numpy as np
 
 from benchmarks.errors import body_cost
-from measure.calibration import Capture, calibrate_capture, fit_rig_by_paper, open_capture
+from measure.calibration import Capture, calibrate_capture, open_capture
 from measure.calibration.board_views import intrinsics_vector
 from measure.calibration.extrinsics import fit_rig_with_boards
 from measure.calibration.procedure import RigCalibration
-from measure.calibration.rig_problem import MarkerObservation, RigObservations, Tolerances
 from measure.geometry import RigidTransform
-from measure.model import Camera, Intrinsics, paper_body
+from measure.model import (
+    Camera,
+    Intrinsics,
+    MarkerObservation,
+    RigObservations,
+    Tolerances,
+    paper_body,
+)
 from measure.session import read_calibration
+from measure_paper.camera_fit import fit_rig_by_paper
 from tests.simulated.capture import CaptureScene, write_capture
 
 BODY = paper_body()

@@ -36,7 +36,7 @@ and `Bytes` (of `measure.arrays`) are numpy arrays of float64, int64, bool and u
 errors are those of `measure.errors`; `StateSchema` is that of `measure.robots`.
 """
 SECTIONS = ("Attributes", "Args", "Returns", "Yields", "Raises", "Example", "Examples")
-MOST_ON_A_LINE = 4
+MOST_ON_A_LINE = 5
 """A record of no more fields has no section of its own."""
 _CONSTRUCTOR = "Constructor."
 

@@ -18,9 +18,10 @@ from typing import Any
 from measure.errors import ConfigError, PluginError
 
 COMMANDS, DEMO, FORMATS = "measure.commands", "measure.demo", "measure.formats"
-VIEWS = "measure.views"
+VIEWS, CAMERA_FITS = "measure.views", "measure.camera_fits"
 """Groups of entry points: packages with commands, functions that the demonstration calls, formats
-of other programs, and functions that write further recordings of a run for the viewer."""
+of other programs, functions that write further recordings of a run for the viewer, and functions
+that fit cameras to what they see of a capture."""
 
 
 @dataclass(frozen=True)
@@ -86,28 +87,33 @@ def load_command(name: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
-def offers(group: str, name: str | None = None) -> Iterator[tuple[str, Any]]:
-    """Name and object of each entry point of a group, or of those of one name, imported now.
+def names(group: str) -> list[str]:
+    """The entry points of a group whose packages are installed."""
+    return sorted(point.name for point in _points(group) if _is_there(point))
 
-    One whose package was taken out of the environment is passed over. PluginError: another cannot
-    be imported.
+
+def offers(group: str) -> Iterator[tuple[str, Any]]:
+    """Name and object of each of them, imported now; PluginError: one cannot be imported."""
+    for point in sorted(_points(group), key=lambda one: one.name):
+        if _is_there(point):
+            yield point.name, _loaded(point)
+
+
+def offer(group: str, name: str, what: str) -> Any:
+    """The object of the entry point of this name, or None without one.
+
+    ConfigError: two packages have one, or its package was taken out of the environment.
+    PluginError: it cannot be imported.
     """
-    points = (one for one in _points(group) if name in (None, one.name))
-    for point in sorted(points, key=lambda one: one.name):
-        if util.find_spec(point.value.partition(":")[0].partition(".")[0]) is None:
-            continue
-        try:
-            yield point.name, point.load()
-        except Exception as problem:
-            reason = " ".join(f"{type(problem).__name__}: {problem}".split())
-            raise PluginError(f"'{point.name}' of {_owner(point)} is broken: {reason}") from problem
-
-
-def offer(group: str, name: str, what: str, package: str) -> Any:
-    """The object of one entry point; ConfigError: nobody offers it, and `package` brings it."""
-    for _, found in offers(group, name):
-        return found
-    raise lacking(what, package)
+    points = list(_points(group).select(name=name))
+    if len(points) > 1:
+        owners = " and of ".join(sorted(map(_owner, points)))
+        raise ConfigError(f"{what} is that of {owners}: uninstall one of them")
+    for point in points:
+        if not _is_there(point):
+            raise lacking(what, _package(point))
+        return _loaded(point)
+    return None
 
 
 def lacking(what: str, package: str) -> ConfigError:
@@ -116,6 +122,22 @@ def lacking(what: str, package: str) -> ConfigError:
         f"{what} comes with the package {package}, which is not installed here: "
         "pip install --force-reinstall triball"
     )
+
+
+def _loaded(point: metadata.EntryPoint) -> Any:
+    try:
+        return point.load()
+    except Exception as problem:
+        reason = " ".join(f"{type(problem).__name__}: {problem}".split())
+        raise PluginError(f"'{point.name}' of {_owner(point)} is broken: {reason}") from problem
+
+
+def _is_there(point: metadata.EntryPoint) -> bool:
+    return util.find_spec(_package(point)) is not None
+
+
+def _package(point: metadata.EntryPoint) -> str:
+    return point.module.partition(".")[0]
 
 
 def _owner(point: metadata.EntryPoint) -> str:

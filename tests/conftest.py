@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, settings
 
 from measure.geometry import RigidTransform
 from measure.model import Ball, BallColor, Body, Camera, Intrinsics
+from tests.chromium import find_chromium
 
 pytest_plugins = ["tests.strangers"]
 
@@ -41,6 +42,13 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
     scene = webcam_scene()
     warm_pipeline(load_profile(), Registry.discover(), scene.body, scene.cameras)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """What needs a browser is skipped without one."""
+    if item.get_closest_marker("browser") and find_chromium() is None:
+        pytest.skip("no chromium on this machine")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

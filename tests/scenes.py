@@ -60,6 +60,12 @@ def moved(camera, pose):
     return Camera(camera.name, camera.intrinsics, pose, camera.pose_covariance)
 
 
+def strayed(cameras, rng):
+    """The cameras where they really are: off by what is stated of their poses."""
+    off = {n: rng.multivariate_normal(np.zeros(6), c.pose_covariance) for n, c in cameras.items()}
+    return {n: moved(c, c.world_from_camera.perturb(off[n])) for n, c in cameras.items()}
+
+
 def a_pose(rng, shift=25.0, turn_deg=30.0):
     """A random pose of the body in the workspace."""
     axis = rng.normal(size=3)

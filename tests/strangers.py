@@ -36,10 +36,13 @@ def detector_source(name: str = "blob", cls: str = "Blob") -> str:
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
-    """Install a distribution: `install("acme", source)`; the module is called like it."""
+    """Install a distribution: `install("acme", source)`; its module is called like it.
+
+    `offers` is an object of the module that another `group` than that of plugins names.
+    """
     modules: list[str] = []
 
-    def install(distribution: str, source: str, *, entry_point: str = "", version: str = "1.0"):
+    def install(distribution, source, *, entry_point="", version="1.0", group="measure", offers=""):
         module = distribution.lower().replace("-", "_") + "_plugin"
         place = tmp_path / f"site-{len(modules)}"
         info = place / f"{distribution.replace('-', '_')}-{version}.dist-info"
@@ -49,7 +52,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
             f"Metadata-Version: 2.1\nName: {distribution}\nVersion: {version}\n"
         )
         name = entry_point or distribution
-        (info / "entry_points.txt").write_text(f"[measure]\n{name} = {module}\n")
+        (info / "entry_points.txt").write_text(f"[{group}]\n{name} = {module}{offers}\n")
         monkeypatch.syspath_prepend(str(place))
         modules.append(module)
 

@@ -10,9 +10,9 @@ import measure
 from measure.api.outputs import check_apart, output
 from measure.arrays import Bytes
 from measure.calibration import (
+    JOINT,
     Charuco,
     Chessboard,
-    Method,
     RigCalibration,
     Sheet,
     Verdict,
@@ -51,20 +51,19 @@ class CalibrationResult:
 
 def calibrate(
     capture: Path | str,
-    method: Method = "joint",
+    method: str = JOINT,
     body: Path | str | None = None,
     progress: Progress = quiet,
 ) -> CalibrationResult:
     """Calibrate the cameras of a capture folder and judge the result.
 
     Args:
+        method: "joint", or the name of a camera fit that an installed package offers.
         body: body file to judge with; the paper's three-ball body if omitted.
 
     Raises:
         CalibrationError: what cannot give a trustworthy calibration, with its cause.
     """
-    if method not in ("joint", "paper"):
-        raise ConfigError(f"no calibration method is called '{method}'; there is joint and paper")
     opened = open_capture(capture)
     measured_with = paper_body() if body is None else read_body(body)
     rig = calibrate_capture(opened, method, progress)
@@ -78,7 +77,7 @@ def calibrate(
 def calibrate_to(
     out: Path,
     capture: Path,
-    method: Method = "joint",
+    method: str = JOINT,
     body: Path | None = None,
     progress: Progress = quiet,
     *,

@@ -83,29 +83,6 @@ def lens_change(first: Camera, now: Camera) -> Floats:
     return intrinsics_vector(now.intrinsics) - intrinsics_vector(first.intrinsics)
 
 
-def free_parameters(camera: Camera) -> Ints:
-    """Indices of the lens parameters that have a variance: those that are not known exactly."""
-    P = camera.intrinsics.covariance
-    return np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
-
-
-def with_covariance(camera: Camera, P: Floats, free: Ints, rms_px: float | None) -> Camera:
-    """The camera with the covariance P of its pose (6) and its free lens parameters, if any."""
-    camera = replace(camera, pose_covariance=P[:6, :6], reprojection_rms_px=rms_px)
-    if not len(free):
-        lens_as_given = replace(camera.intrinsics, covariance=None)
-        return replace(camera, intrinsics=lens_as_given, pose_intrinsics_covariance=None)
-    lens = np.zeros((12, 12))
-    lens[np.ix_(free, free)] = P[6:, 6:]
-    cross = np.zeros((6, 12))
-    cross[:, free] = P[:6, 6:]
-    return replace(
-        camera,
-        intrinsics=replace(camera.intrinsics, covariance=lens),
-        pose_intrinsics_covariance=cross,
-    )
-
-
 def stack(transforms: list[RigidTransform]) -> RigidTransform:
     """A batch of single transforms."""
     return RigidTransform(

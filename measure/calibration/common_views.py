@@ -18,7 +18,6 @@ from measure.calibration.board_views import (
     board_pose,
     stack,
     unmirrored,
-    with_covariance,
 )
 from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
@@ -41,18 +40,15 @@ _MIRRORED = (
 _ONE_INSTANT_PX = 3.0  # Cameras that miss common views by more than this did not take them together
 
 
-Joint = tuple[Floats, dict[str, Ints]]
-
-
 def fit_common_views(
     board: Board, lenses: Mapping[str, LensCalibration]
-) -> tuple[tuple[Camera, ...], Floats, Joint]:
+) -> tuple[tuple[Camera, ...], Floats, Floats]:
     """Fit all cameras, lenses included, with the first camera as the world.
 
     Pictures of one instant carry the same number in their names, or are frames of that number. Also
     gives the board's corners in the world at all instants (n, 3) mm, and the covariance of all
-    cameras together, camera after camera, with the rows that are each one's (`body_pose_sd`): it
-    describes the rig's shape alone, without a rigid motion of all positions where the board was.
+    cameras together (see `RigFit`): it describes the rig's shape alone, without a rigid motion of
+    all positions where the board was.
     CalibrationError: a camera shares fewer than three views with those already placed, its pictures
     contradict the others', or the views do not tell how a board was turned that looks the same
     after a turn.
@@ -190,7 +186,7 @@ def _turned(points: Floats, turn: Ints) -> RigidTransform:
 
 def _answer(
     solution: LeastSquaresSolution[BoardState], problem: BoardProblem, points: Floats
-) -> tuple[tuple[Camera, ...], Joint]:
+) -> tuple[tuple[Camera, ...], Floats]:
     """The cameras with their covariances, for positions (n, 3) in their view."""
     cameras, free = solution.state.cameras, [seen.free for seen in problem.views]
     size = 6 + len(solution.covariance)
@@ -203,13 +199,12 @@ def _answer(
     covariance = shape @ covariance @ shape.T
     rows = zip(cameras, columns, problem.views, solution.linearised.groups, strict=True)
     out = tuple(
-        with_covariance(
-            camera, covariance[np.ix_(own, own)], seen.free, rms_length(g.residuals * seen.sd_px)
+        camera.with_covariance(
+            covariance[np.ix_(own, own)], seen.free, rms_length(g.residuals * seen.sd_px)
         )
         for camera, own, seen, g in rows
     )
-    names = [camera.name for camera in cameras]
-    return out, (covariance, dict(zip(names, columns, strict=True)))
+    return out, covariance
 
 
 def _s_transformation(

@@ -1,46 +1,31 @@
-"""Where the cameras stand: all of them at once, or one by one as the paper has it.
+"""Where the cameras stand, all of them at once.
 
-All at once: least squares over every camera's pose and lens, the marker positions and the board
+Least squares over every camera's pose and lens, the marker positions and the board
 poses. What is known beforehand enters with its uncertainty: the lens with the covariance of its own
 fit, a marker with the tolerance of its post, a board with the tolerance of its holder. Corners and
 marks are weighted by standard deviations estimated from the residuals (variance components), and
 Huber's loss bounds the influence of single wrong marks.
-
-One by one, equation 3: the board gives a rough pose, the markers refine it. The vector from the
-camera to a marker, v_c2m, and the vector from the marker's image to the camera, v_i2c, must be
-parallel. The paper writes v_c2m(k) / v_i2c(k) = |v_c2m| / |v_i2c| for k = 1, 2, 3; multiplied out,
-because a quotient has no value where a component is zero, and divided by both lengths, that is
-v_c2m / |v_c2m| - v_i2c / |v_i2c| = 0: three equations a marker, six unknowns a camera, solved by
-Levenberg and Marquardt. The paper gives no errors. Here those of marks, lenses and marker places
-travel through the equations (implicit differentiation of their optimum) into one covariance of all
-cameras; the standard deviation of the marks comes from their residuals, pooled over the cameras.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats, Ints, rms_length
-from measure.calibration.board_views import free_parameters, with_covariance
-from measure.calibration.least_squares import Columns, Huber, LeastSquaresSolution, solve
-from measure.calibration.rig_problem import (
-    CORNERS,
-    MARKS,
-    BoardObservation,
-    MarkerObservation,
-    RigObservations,
-    RigProblem,
-    RigState,
-    Tolerances,
-    lay_out,
-)
-from measure.errors import CalibrationError
-from measure.geometry import skew
+from measure.arrays import Floats, rms_length
+from measure.calibration.least_squares import Huber, LeastSquaresSolution, solve
+from measure.calibration.rig_problem import CORNERS, MARKS, RigProblem, RigState, lay_out
 from measure.limits import MAX_STEPS
-from measure.model import Camera
+from measure.model import (
+    BoardObservation,
+    Camera,
+    MarkerObservation,
+    RigFit,
+    RigObservations,
+    Tolerances,
+)
 
 _HUBER = Huber(3.0)
 MIN_SD_PX = 0.02
@@ -48,25 +33,12 @@ START_CORNER_SD_PX = 0.1
 START_MARK_SD_PX = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class RigFit:
-    """Cameras fitted jointly, or located by equation 3."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointRigFit(RigFit):
+    """All cameras fitted at once, to boards and marks."""
 
-    state: RigState  # cameras with their covariances, and where markers and boards came out
-    # of all cameras' poses and free lens parameters together, camera after camera.
-    covariance: Floats
-    # by camera name, which rows of `covariance` are its pose (6) and lens parameters.
-    columns: dict[str, Ints]
-    mark_sd_px: float  # as stated, or estimated from the residuals
-    # the rest is of a joint fit alone.
-    corner_sd_px: float | None = None  # as estimated from the residuals
-    mark_residuals: dict[str, Floats] = field(default_factory=dict)  # by camera name (n, 2) px
-    log_likelihood: float = np.nan  # restricted, up to a constant: compares tolerances and weights
-
-    @property
-    def cameras(self) -> tuple[Camera, ...]:
-        """The calibrated cameras."""
-        return self.state.cameras
+    state: RigState  # the same cameras, and where markers and boards came out
+    log_likelihood: float  # restricted, up to a constant: compares tolerances and weights
 
 
 def fit_rig(
@@ -74,7 +46,7 @@ def fit_rig(
     observations: RigObservations,
     corner_sd_px: float | None = None,
     mark_sd_px: float | None = None,
-) -> RigFit:
+) -> JointRigFit:
     """Fit all cameras jointly, a lens within its covariance; without one it stays as it is."""
     layout = lay_out(start, observations)
     boards = {name: board.world_from_board for name, board in observations.boards.items()}
@@ -119,7 +91,7 @@ def _standard_deviations(solution: LeastSquaresSolution[RigState], problem: RigP
     return np.maximum(problem.sds * np.sqrt(factor), MIN_SD_PX)
 
 
-def _answer(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> RigFit:
+def _answer(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> JointRigFit:
     layout, sds = problem.layout, problem.sds
     residuals: tuple[dict[str, Floats], dict[str, Floats]] = ({}, {})
     for (name, kind), group in zip(problem.labels(), solution.linearised.groups, strict=True):
@@ -131,16 +103,16 @@ def _answer(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> Ri
         P = solution.covariance[np.ix_(columns, columns)]
         own = [of_kind[camera.name] for of_kind in residuals if camera.name in of_kind]
         rms = rms_length(np.concatenate(own))
-        cameras.append(with_covariance(camera, P, free, rms))
+        cameras.append(camera.with_covariance(P, free, rms))
     used = sum(len(c) for c in layout.cameras)
-    return RigFit(
-        replace(solution.state, cameras=tuple(cameras)),
-        solution.covariance[:used, :used],
-        {c.name: columns for c, columns in zip(cameras, layout.cameras, strict=True)},
-        float(sds[MARKS]),
-        float(sds[CORNERS]),
-        residuals[MARKS],
-        _log_likelihood(solution, problem),
+    return JointRigFit(
+        cameras=tuple(cameras),
+        covariance=solution.covariance[:used, :used],
+        mark_sd_px=float(sds[MARKS]),
+        corner_sd_px=float(sds[CORNERS]),
+        mark_residuals=residuals[MARKS],
+        state=replace(solution.state, cameras=tuple(cameras)),
+        log_likelihood=_log_likelihood(solution, problem),
     )
 
 
@@ -174,7 +146,7 @@ def fit_rig_with_boards(
     observations: RigObservations,
     mark_sd_px: float | None = None,
     boards_stated: bool = False,
-) -> tuple[RigFit, Tolerances]:
+) -> tuple[JointRigFit, Tolerances]:
     """Fit the rig with the tolerances that make boards and markers most likely together.
 
     Restricted maximum likelihood (Patterson and Thompson 1971) over a fixed list of board
@@ -227,8 +199,8 @@ def _likeliest(
     observations: RigObservations,
     candidates: list[Tolerances],
     mark_sd_px: float | None,
-) -> tuple[RigFit, Tolerances]:
-    best: tuple[RigFit, Tolerances] | None = None
+) -> tuple[JointRigFit, Tolerances]:
+    best: tuple[JointRigFit, Tolerances] | None = None
     for tolerances in candidates:
         fit = fit_rig(start, replace(observations, tolerances=tolerances), mark_sd_px=mark_sd_px)
         if best is None or fit.log_likelihood > best[0].log_likelihood:
@@ -237,119 +209,3 @@ def _likeliest(
             break
     assert best is not None
     return best
-
-
-def fit_rig_by_paper(
-    start: tuple[Camera, ...], observations: RigObservations, mark_sd_px: float | None = None
-) -> RigFit:
-    """Every camera by itself, from three markers or more, beginning at its rough pose."""
-    cameras, squares, freedom = [], 0.0, 0.0
-    for camera in start:
-        located, residuals = _located(camera, observations)
-        cameras.append(located)
-        worth = located.intrinsics.focal_px / np.linalg.norm(
-            observations.markers[observations.marks[camera.name].ids] - located.center, axis=1
-        )
-        # The variance of the marker places is in the residuals too, but is not the marks'.
-        by_places = 2 * float(np.sum((worth * observations.tolerances.marker_mm) ** 2))
-        share = max(1 - 6 / residuals.size, 0)
-        squares += max(float(np.sum(residuals**2)) - by_places * share, 0)
-        freedom += residuals.size - 6
-    sd = mark_sd_px or START_MARK_SD_PX
-    if mark_sd_px is None and freedom > 0:
-        sd = max(float(np.sqrt(squares / freedom)), MIN_SD_PX)
-    return _with_covariances(tuple(cameras), observations, sd)
-
-
-def _located(start: Camera, observations: RigObservations) -> tuple[Camera, Floats]:
-    """A camera by equation 3, and the residuals (n, 2) px of its marks."""
-    marks = observations.marks.get(start.name)
-    if marks is None:
-        raise CalibrationError(
-            f"camera {start.name}: the paper's method needs its markers: give marks.csv or "
-            "marker_image"
-        )
-    if len(marks.ids) < 3:
-        raise CalibrationError(
-            f"camera {start.name}: the paper's equation 3 needs 3 markers, got {len(marks.ids)}"
-        )
-    points = observations.markers[marks.ids]
-    located = _solve_equation_3(start, points, marks.pixels)
-    error = marks.pixels - located.project(points)
-    return replace(located, reprojection_rms_px=rms_length(error)), error
-
-
-def _solve_equation_3(start: Camera, points: Floats, pixels: Floats) -> Camera:
-    from scipy.optimize import least_squares
-
-    bearings = start.intrinsics.unproject(pixels)
-
-    def equation_3(unknowns: Floats) -> Floats:
-        pose = start.world_from_camera.perturb(unknowns)
-        c2m = points - pose.translation
-        i2c = pose.rotate(bearings)
-        return np.ravel(c2m / np.linalg.norm(c2m, axis=1, keepdims=True) - i2c)
-
-    found = least_squares(
-        equation_3, np.zeros(6), method="lm", x_scale=np.repeat([100.0, 0.1], 3), xtol=1e-12
-    )
-    if not found.success:
-        raise CalibrationError(f"camera {start.name}: equation 3 has no optimum: {found.message}")
-    return replace(start, world_from_camera=start.world_from_camera.perturb(found.x))
-
-
-def _sensitivity(camera: Camera, points: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
-    """How a camera's pose follows marks (6, 2n), lens (6, 12) and its markers (6, 3n)."""
-    turn = camera.world_from_camera.rotation
-    bearings = camera.intrinsics.unproject(pixels)
-    _, by_bearing, pixel_by_lens = camera.intrinsics.project_with_jacobians(bearings)
-    by_pixel = turn @ np.linalg.pinv(by_bearing)  # of R b, (n, 3, 2)
-    c2m = points - camera.center
-    length = np.linalg.norm(c2m, axis=1)[:, None, None]
-    unit = c2m[:, :, None] / length
-    by_marker = (np.eye(3) - unit @ np.swapaxes(unit, 1, 2)) / length
-    J = np.concatenate([-by_marker, skew(bearings @ turn.T)], axis=2).reshape(-1, 6)
-    gain = -np.linalg.pinv(J).reshape(6, len(points), 3)
-    return (
-        -np.einsum("ink,nkj->inj", gain, by_pixel).reshape(6, -1),
-        np.einsum("ink,nkj,njl->il", gain, by_pixel, pixel_by_lens),
-        np.einsum("ink,nkj->inj", gain, by_marker).reshape(6, -1),
-    )
-
-
-def _with_covariances(
-    cameras: tuple[Camera, ...], observations: RigObservations, sd_px: float
-) -> RigFit:
-    """Marks and lenses are each camera's own; the places of the markers are common to all."""
-    columns, take = dict[str, Ints](), Columns()
-    own: list[Floats] = []
-    common: list[Floats] = []
-    for camera in cameras:
-        marks = observations.marks[camera.name]
-        by_marks, by_lens, by_markers = _sensitivity(
-            camera, observations.markers[marks.ids], marks.pixels
-        )
-        C = camera.intrinsics.covariance
-        C = np.zeros((12, 12)) if C is None else C
-        free = free_parameters(camera)
-        # Rows: pose, then the lens parameters themselves, which the poses follow.
-        gain = np.concatenate([by_lens, np.eye(12)[free]])
-        block = gain @ C @ gain.T
-        block[:6, :6] += sd_px**2 * by_marks @ by_marks.T
-        own.append(block)
-        shift = np.zeros((len(block), observations.markers.size))
-        of_marker = (3 * marks.ids[:, None] + np.arange(3)).reshape(-1)
-        shift[:6, of_marker] = by_markers * observations.tolerances.marker_mm
-        common.append(shift)
-        columns[camera.name] = take(len(block))
-    shifts = np.concatenate(common)
-    covariance = shifts @ shifts.T
-    for camera, block in zip(cameras, own, strict=True):
-        covariance[np.ix_(columns[camera.name], columns[camera.name])] += block
-    located = []
-    for camera in cameras:
-        P = covariance[np.ix_(columns[camera.name], columns[camera.name])]
-        rms_px = camera.reprojection_rms_px
-        located.append(with_covariance(camera, P, free_parameters(camera), rms_px))
-    state = RigState(tuple(located), observations.markers, {})
-    return RigFit(state, covariance, columns, sd_px)

@@ -12,10 +12,9 @@ from measure.arrays import Bytes, Floats, Ints
 from measure.calibration import patterns
 from measure.calibration.boards import MIN_MARKS
 from measure.calibration.extrinsics import located_by_marks
-from measure.calibration.rig_problem import MarkerObservation
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
-from measure.model import Camera
+from measure.model import Camera, MarkerObservation
 
 MarkerKind = Literal["dot", "cross"]
 

@@ -11,16 +11,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from measure.arrays import Bytes
-from measure.calibration import targets
-from measure.calibration.boards import (
-    BORDER_BITS,
-    DICTIONARY,
-    AprilGrid,
-    Charuco,
-    Chessboard,
-    aruco_dictionary,
-    same_after,
-)
+from measure.calibration import boards, targets
 from measure.errors import CalibrationError, ConfigError
 from measure.model import Body
 from measure.session import load_toml, read_body
@@ -194,7 +185,7 @@ def target_sheet(path: Path) -> Sheet:
     )
 
 
-def chessboard_sheet(board: Chessboard, name: str) -> Sheet:
+def chessboard_sheet(board: boards.Chessboard, name: str) -> Sheet:
     """Squares, black at the top left: the one diagonal to the origin."""
     columns, rows = (n + 1 for n in board.inner_corners)
     side = board.square_mm
@@ -208,14 +199,14 @@ def chessboard_sheet(board: Chessboard, name: str) -> Sheet:
     note = ""
     if len(board.turns) > 1:
         note = (
-            f"{same_after(board)}: no picture shows which corner is its origin; take one with an "
-            "odd and an even number of inner corners, or a ChArUco board"
+            f"{boards.same_after(board)}: no picture shows which corner is its origin; take one "
+            "with an odd and an even number of inner corners, or a ChArUco board"
         )
     sheet = lay_out(shapes, (columns * side, rows * side), (side, side), text)
     return replace(sheet, note=note)
 
 
-def charuco_sheet(board: Charuco, name: str) -> Sheet:
+def charuco_sheet(board: boards.Charuco, name: str) -> Sheet:
     """Squares with markers in the white ones, as OpenCV places and numbers them."""
     (columns, rows), side = board.squares, board.square_mm
     size = (columns * side, rows * side)
@@ -253,7 +244,7 @@ def _cells(bits: Bytes, left: float, top: float, side: float, black: bool = True
     ]
 
 
-def aprilgrid_sheet(board: AprilGrid, name: str) -> Sheet:
+def aprilgrid_sheet(board: boards.AprilGrid, name: str) -> Sheet:
     """Tags as Kalibr prints them, with the small squares that make their corners sharp."""
     (columns, rows), side = board.tags, board.tag_mm
     gap = side * board.tag_spacing
@@ -263,10 +254,10 @@ def aprilgrid_sheet(board: AprilGrid, name: str) -> Sheet:
         for row in range(rows + 1)
         for column in range(columns + 1)
     ]
-    dictionary = aruco_dictionary(DICTIONARY)
-    cells = dictionary.markerSize + 2 * BORDER_BITS
+    dictionary = boards.aruco_dictionary(boards.DICTIONARY)
+    cells = dictionary.markerSize + 2 * boards.BORDER_BITS
     for number, (x, y, _) in enumerate(board.points[::4].tolist()):
-        tag = dictionary.generateImageMarker(number, cells, borderBits=BORDER_BITS)
+        tag = dictionary.generateImageMarker(number, cells, borderBits=boards.BORDER_BITS)
         shapes += _cells(np.rot90(np.asarray(tag), 2), x + gap, y + gap, side)
     text = f"{name}: {columns} x {rows} tags of 36h11, {side:g} mm, spacing {board.tag_spacing:g}"
     return lay_out(shapes, size, (gap, gap), text)

@@ -5,34 +5,28 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration import extrinsics, rig_problem
+from measure.calibration import extrinsics, starts
 from measure.calibration.boards import Board, CornerRule, Stretched
 from measure.calibration.capture import Capture, CaptureCamera
-from measure.calibration.common_views import Joint, fit_common_views
+from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import BoardShape, LensCalibration, board_shape, calibrate_lens
 from measure.calibration.markers import FoundMarkers
-from measure.calibration.starts import (
-    check_board_against_marks,
-    check_located,
-    marker_observation,
-    marks_of,
-    oriented_board,
-    start_from_board,
-)
 from measure.calibration.targets import MarkerField
 from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, charuco_slip, find_views
-from measure.errors import CalibrationError
+from measure.errors import CalibrationError, ConfigError, MeasureError, PluginError
 from measure.estimation.lateral_color import lateral_color
+from measure.host.registry import suggestion
 from measure.model import Camera, Intrinsics
+from measure.model.rig_fit import CameraFit, MarkerObservation, RigFit, RigObservations, Tolerances
+from measure.neighbours import CAMERA_FITS, names, offer
 from measure.processes import Progress
 
-Method = Literal["joint", "paper"]
+JOINT = "joint"  # Our own fit; others are those of packages beside this one
 _COLOR_VIEWS = 12
 
 
@@ -41,10 +35,10 @@ class RigCalibration:
     """A calibrated rig and intermediate results."""
 
     cameras: tuple[Camera, ...]
-    method: Method
+    method: str  # by which the cameras were fitted
     lenses: dict[str, LensCalibration]  # by camera name, where the lens was calibrated here
-    fit: extrinsics.RigFit | None  # of all cameras, by `method`; None of common views
-    observations: rig_problem.RigObservations
+    fit: RigFit | None  # of all cameras, by `method`; None of common views
+    observations: RigObservations
     markers: MarkerField
     # at their rough poses, lenses as calibrated by themselves.
     cameras_before: tuple[Camera, ...] = ()
@@ -53,19 +47,21 @@ class RigCalibration:
     disagreement_mm: dict[str, float] = field(default_factory=dict)
     # (n, 3) mm, board corners in view, where there are no markers.
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    joint: Joint | None = None  # covariance of all cameras, where `fit` does not hold it
+    joint: Floats | None = None  # covariance of all cameras, where `fit` does not hold it
     shape: BoardShape | None = None  # of the board, as stated; None if no lens was calibrated
 
     @property
-    def tolerances(self) -> rig_problem.Tolerances:
+    def tolerances(self) -> Tolerances:
         """As used; the board's estimated where the capture does not state it."""
         return self.observations.tolerances
 
 
 def calibrate_capture(
-    capture: Capture, method: Method = "joint", progress: Progress | None = None
+    capture: Capture, method: str = JOINT, progress: Progress | None = None
 ) -> RigCalibration:
-    """Calibrate all cameras of a capture: all at once ("joint"), or by equation 3 ("paper")."""
+    """Calibrate all cameras of a capture: all at once, or by a `camera_fit`, of the name given."""
+    if method != JOINT:
+        camera_fit(method)  # refused before lenses take minutes
     check_calibrated(capture)
     lenses: dict[str, LensCalibration] = {}
     known: dict[str, Intrinsics] = {}
@@ -114,10 +110,36 @@ def _of_board(capture: Capture, lenses: dict[str, LensCalibration]) -> dict[str,
     return out
 
 
+def camera_fit(method: str) -> CameraFit:
+    """The fit of this name, of a package beside this one; ConfigError: there is none."""
+    found: CameraFit | None = offer(CAMERA_FITS, method, f"`--method {method}`")
+    if found is None:
+        known = suggestion(method, [JOINT, *names(CAMERA_FITS)], "method")
+        raise ConfigError(f"no calibration method is called '{method}'; {known}")
+    return found
+
+
+def _fitted_by(
+    method: str, start: tuple[Camera, ...], observed: RigObservations, mark_sd_px: float | None
+) -> RigFit:
+    """By a package's fit; PluginError: it fails, or answers nonsense."""
+    try:
+        fit = camera_fit(method)(start, observed, mark_sd_px)
+        answered = [camera.name for camera in fit.cameras], bool(np.isfinite(fit.covariance).all())
+    except MeasureError:
+        raise
+    except Exception as problem:
+        reason = " ".join(f"{type(problem).__name__}: {problem}".split())
+        raise PluginError(f"the camera fit '{method}' fails: {reason}") from problem
+    if answered != ([camera.name for camera in start], True):
+        raise PluginError(f"the camera fit '{method}' answers nonsense: {answered}")
+    return fit
+
+
 def check_calibrated(capture: Capture) -> None:
     """Refuse (CalibrationError) a capture whose cameras nothing locates, whatever their lenses."""
     if not capture.settings.common_views:
-        check_located(capture)
+        starts.check_located(capture)
     elif missing := [c.name for c in capture.cameras if c.intrinsics is None]:
         raise CalibrationError(
             f"{capture.path}: common_views needs pictures of the board for every camera (none for "
@@ -131,10 +153,10 @@ def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibr
     cameras, around, joint = fit_common_views(capture.board, lenses)
     return RigCalibration(
         cameras,
-        "joint",
+        JOINT,
         lenses,
         None,
-        rig_problem.RigObservations(),
+        RigObservations(),
         capture.markers,
         cameras_before=cameras,
         around=around,
@@ -143,40 +165,40 @@ def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibr
 
 
 def _locate_all(
-    capture: Capture,
-    method: Method,
-    lenses: dict[str, LensCalibration],
-    known: dict[str, Intrinsics],
+    capture: Capture, method: str, lenses: dict[str, LensCalibration], known: dict[str, Intrinsics]
 ) -> RigCalibration:
     markers, seen = capture.markers, _boards_of(capture, lenses, known)
-    starts: list[Camera] = []
-    marks: dict[str, rig_problem.MarkerObservation] = {}
+    placed: list[Camera] = []
+    marks: dict[str, MarkerObservation] = {}
     found: dict[str, FoundMarkers] = {}
     disagreement_mm: dict[str, float] = {}
     for camera in capture.cameras:
         name, start = camera.name, None
         if name in seen:
-            start = start_from_board(name, known[name], seen[name])
-            by_hand = marker_observation(capture.marks.get(name, {}), markers)
+            start = starts.start_from_board(name, known[name], seen[name])
+            by_hand = starts.marker_observation(capture.marks.get(name, {}), markers)
             if by_hand is not None:  # before a search that would begin at a wrong place
-                check_board_against_marks(start, seen, markers, by_hand)
-        start, observed, finds = marks_of(camera, known[name], start, capture)
-        starts.append(start)
+                starts.check_board_against_marks(start, seen, markers, by_hand)
+        start, observed, finds = starts.marks_of(camera, known[name], start, capture)
+        placed.append(start)
         if finds is not None:
             found[name] = finds
         if observed is not None:
             marks[name] = observed
             if name in seen:
-                disagreement_mm[name] = check_board_against_marks(start, seen, markers, observed)
-    places = [one.world_from_board.apply(one.points) for one in seen.values()]
+                disagreement_mm[name] = starts.check_board_against_marks(
+                    start, seen, markers, observed
+                )
+    boards = {name: one.observation for name, one in seen.items()}
+    places = [one.world_from_board.apply(one.points) for one in boards.values()]
     rough = RigCalibration(
-        tuple(starts),
+        tuple(placed),
         method,
         lenses,
         None,
-        rig_problem.RigObservations(markers.points, seen, marks),
+        RigObservations(markers.points, boards, marks),
         markers,
-        cameras_before=tuple(starts),
+        cameras_before=tuple(placed),
         found=found,
         disagreement_mm=disagreement_mm,
         around=np.concatenate([np.zeros((0, 3)), *places]),
@@ -186,7 +208,7 @@ def _locate_all(
 
 def _boards_of(
     capture: Capture, lenses: dict[str, LensCalibration], known: dict[str, Intrinsics]
-) -> dict[str, rig_problem.BoardObservation]:
+) -> dict[str, starts.SeenBoard]:
     """The boards of known pose, by camera, with the corner rule that suits the camera."""
     seen = {}
     for camera in capture.cameras:
@@ -194,7 +216,7 @@ def _boards_of(
             calibrated, lens = lenses.get(camera.name), known[camera.name]
             rule: CornerRule = "pattern" if calibrated is None else calibrated.corner_rule
             found = _see_board(capture, camera, lens, capture.board, rule)
-            seen[camera.name] = oriented_board(camera, lens, found, capture)
+            seen[camera.name] = starts.oriented_board(camera, lens, found, capture)
     return seen
 
 
@@ -204,24 +226,23 @@ def _fitted(rough: RigCalibration, capture: Capture) -> RigCalibration:
     held = extrinsics.held_within(
         seen.boards, settings.board_tolerance_mm, settings.board_tolerance_deg
     )
-    tolerances = rig_problem.Tolerances(
-        capture.markers.tolerance_mm, *held, extrinsics.DEFAULT_COMMON_PX
-    )
+    tolerances = Tolerances(capture.markers.tolerance_mm, *held, extrinsics.DEFAULT_COMMON_PX)
     cameras, observed = rough.cameras, replace(seen, tolerances=tolerances)
-    if rough.method == "paper":
-        fit = extrinsics.fit_rig_by_paper(cameras, observed, settings.mark_sd_px)
-    else:
+    fit: RigFit
+    if rough.method == JOINT:
         stated = (settings.board_tolerance_mm, settings.board_tolerance_deg) != (None, None)
         fit, tolerances = extrinsics.fit_rig_with_boards(
             cameras, observed, settings.mark_sd_px, stated
         )
+    else:
+        fit = _fitted_by(rough.method, cameras, observed, settings.mark_sd_px)
     observations = replace(seen, tolerances=tolerances)
     return replace(rough, cameras=fit.cameras, fit=fit, observations=observations)
 
 
 def _see_board(
     capture: Capture, camera: CaptureCamera, lens: Intrinsics, board: Board, rule: CornerRule
-) -> rig_problem.BoardObservation:
+) -> starts.SeenBoard:
     assert camera.board_image is not None
     bgr = capture.still(camera, camera.board_image, lens)
     gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
@@ -234,4 +255,4 @@ def _see_board(
                 or "all of it must be in view, as board.toml says, sharp"
             )
         )
-    return rig_problem.BoardObservation(board, corners.localised(rule), camera.world_from_board)
+    return starts.SeenBoard(board, corners.localised(rule), camera.world_from_board)

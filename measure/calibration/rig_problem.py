@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.calibration.board_views import changed, free_parameters, lens_change
-from measure.calibration.boards import Board, Corners
+from measure.calibration.board_views import changed, lens_change
 from measure.calibration.least_squares import (
     Columns,
     Group,
@@ -18,55 +17,7 @@ from measure.calibration.least_squares import (
     root_information,
 )
 from measure.geometry import RigidTransform, skew
-from measure.model import Camera
-
-
-@dataclass(frozen=True, eq=False)
-class BoardObservation:
-    """A board of known pose, seen by one camera."""
-
-    board: Board
-    corners: Corners  # those that are seen
-    world_from_board: RigidTransform
-
-    @property
-    def points(self) -> Floats:
-        """The seen corners (n, 3) in the board frame, mm."""
-        return self.board.points[self.corners.ids]
-
-
-@dataclass(frozen=True, eq=False)
-class MarkerObservation:
-    """Markers seen by one camera."""
-
-    ids: Ints  # (n,) their numbers in the field
-    pixels: Floats  # (n, 2) where they appear
-    # whether most of them were found by search. The light draws found dots one way, so that all
-    # marks of a picture may share an offset; a hand has no such habit.
-    searched: bool = False
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """How exactly the things of known place are known, as standard deviations."""
-
-    marker_mm: float = 0.1  # of each coordinate of a marker; 0 is exact
-    board_mm: float = 0.0  # of each coordinate of a board's origin; 0 is exact
-    board_deg: float = 0.0  # of a board's turn about each axis; 0 is exact
-    # of each coordinate of the offset that found marks of a picture share; 0: none.
-    common_px: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class RigObservations:
-    """All that the cameras see of things whose place in the world is known."""
-
-    # (k, 3) stated positions of the markers in the world, mm.
-    markers: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    boards: Mapping[str, BoardObservation] = field(default_factory=dict)
-    marks: Mapping[str, MarkerObservation] = field(default_factory=dict)
-    tolerances: Tolerances = field(default_factory=Tolerances)
-
+from measure.model import BoardObservation, Camera, MarkerObservation, RigObservations
 
 CORNERS, MARKS = 0, 1  # The two kinds of observation, each with its own standard deviation
 
@@ -97,7 +48,7 @@ def lay_out(cameras: tuple[Camera, ...], observations: RigObservations) -> RigLa
     """Number the unknowns: cameras first, then markers, boards and offsets as far as unknown."""
     take = Columns()
     tolerances = observations.tolerances
-    free = tuple(free_parameters(camera) for camera in cameras)
+    free = tuple(camera.intrinsics.free for camera in cameras)
     of_cameras = tuple(take(6 + len(lens)) for lens in free)
     markers = None
     if tolerances.marker_mm > 0 and len(observations.markers):
@@ -181,7 +132,7 @@ class RigProblem:
             shift = np.broadcast_to(np.eye(3), (len(points), 3, 3))
             turn = -skew(points - pose.translation)
             extra.append((own, seen[1] @ np.concatenate([shift, turn], axis=2)))
-        return self._group(seen, board.corners.pixels, number, extra, CORNERS)
+        return self._group(seen, board.pixels, number, extra, CORNERS)
 
     def _marks(self, here: RigState, number: int, marks: MarkerObservation) -> Group:
         name = here.cameras[number].name

@@ -9,17 +9,16 @@ import numpy as np
 
 from measure.arrays import Floats, rms_length
 from measure.calibration.board_views import board_pose, unmirrored
-from measure.calibration.boards import MIN_POINTS, Corners, same_after
+from measure.calibration.boards import MIN_POINTS, Board, Corners, same_after
 from measure.calibration.capture import Capture, CaptureCamera
 from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.intrinsics import fit_pose_only
 from measure.calibration.markers import FoundMarkers, assign, find_markers
-from measure.calibration.rig_problem import BoardObservation, MarkerObservation
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.limits import CLEAR_RATIO
-from measure.model import Camera, Intrinsics
+from measure.model import BoardObservation, Camera, Intrinsics, MarkerObservation
 from measure.model.body import MIN_BREADTH_RATIO
 from measure.reading import listed
 from measure.session import read_picture
@@ -32,7 +31,22 @@ _NO_POSE = (
 )
 
 
-def start_from_board(name: str, lens: Intrinsics, seen: BoardObservation) -> Camera:
+@dataclass(frozen=True, eq=False)
+class SeenBoard:
+    """A board of known pose in a picture of one camera."""
+
+    board: Board
+    corners: Corners  # those that are seen
+    world_from_board: RigidTransform
+
+    @property
+    def observation(self) -> BoardObservation:
+        """What a fit needs of it."""
+        points = self.board.points[self.corners.ids]
+        return BoardObservation(points, self.corners.pixels, self.world_from_board)
+
+
+def start_from_board(name: str, lens: Intrinsics, seen: SeenBoard) -> Camera:
     """The camera as located by its board; CalibrationError if the corners do not fit it."""
     rms = fit_pose_only(lens, seen.board.points, seen.corners).rms_px
     if rms > _MAX_BOARD_RMS_PX:
@@ -40,7 +54,7 @@ def start_from_board(name: str, lens: Intrinsics, seen: BoardObservation) -> Cam
             f"camera {name}: in {seen.corners.source} the board's corners miss by {rms:.1f} "
             "px under this camera's lens: is it this camera's picture, at the same zoom and focus?"
         )
-    camera_from_board = board_pose(lens, seen.points, seen.corners.pixels)
+    camera_from_board = board_pose(lens, seen.observation.points, seen.corners.pixels)
     return Camera(name, lens, seen.world_from_board @ camera_from_board.inverse())
 
 
@@ -107,8 +121,8 @@ def _check_spread(name: str, points: Floats) -> None:
 
 
 def oriented_board(
-    camera: CaptureCamera, lens: Intrinsics, seen: BoardObservation, capture: Capture
-) -> BoardObservation:
+    camera: CaptureCamera, lens: Intrinsics, seen: SeenBoard, capture: Capture
+) -> SeenBoard:
     """The board with its corners numbered as they are; CalibrationError if nothing tells how.
 
     Of the turns after which the board looks the same it is the one whose origin the capture says is
@@ -138,9 +152,7 @@ def oriented_board(
     )
 
 
-def _misfit_px(
-    camera: CaptureCamera, lens: Intrinsics, seen: BoardObservation, capture: Capture
-) -> float:
+def _misfit_px(camera: CaptureCamera, lens: Intrinsics, seen: SeenBoard, capture: Capture) -> float:
     """By how much marks miss if the board lies so; infinite under the floor or without finds."""
     start = start_from_board(camera.name, lens, seen)
     floor = capture.settings.floor_z_mm
@@ -204,10 +216,7 @@ _MIN_OTHER_MARKS = 3
 
 
 def check_board_against_marks(
-    start: Camera,
-    seen: Mapping[str, BoardObservation],
-    markers: MarkerField,
-    marks: MarkerObservation,
+    start: Camera, seen: Mapping[str, SeenBoard], markers: MarkerField, marks: MarkerObservation
 ) -> float:
     """How far, in mm at the markers, they disagree with the board by which a camera was located.
 
@@ -228,7 +237,7 @@ class _Contradiction:
     """One camera whose board and markers contradict each other, and what the others saw."""
 
     start: Camera
-    seen: Mapping[str, BoardObservation]
+    seen: Mapping[str, SeenBoard]
     markers: MarkerField
     marks: MarkerObservation
 
@@ -262,7 +271,7 @@ class _Contradiction:
                 text = f"it fits squares of about {scale:.2f} times the stated size"
                 left = self._misfit(mine, pose, float(scale))
                 yield left, f"{text}: check square_mm"
-        zoom, left = zoomed(self.start, own, self.markers, self.marks)
+        zoom, left = zoomed(self.start, own.observation, self.markers, self.marks)
         yield left, f"{ZOOMED.format(zoom=zoom)}: {ZOOMED_CURE}"
         for unit, in_mm in _UNITS_MM.items():
             text = f"the markers' places are in {unit} (with mm they fit): write mm"
@@ -299,7 +308,7 @@ def zoomed(
     lens, middle = start.intrinsics, (np.array(start.intrinsics.size_wh) - 1) / 2
 
     def left(zoom: float) -> float:
-        corners, own = (middle + (p - middle) / zoom for p in (seen.corners.pixels, marks.pixels))
+        corners, own = (middle + (p - middle) / zoom for p in (seen.pixels, marks.pixels))
         camera_from_board = board_pose(lens, seen.points, corners)
         pose = seen.world_from_board @ camera_from_board.inverse()
         camera = replace(start, world_from_camera=pose)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from measure.arrays import Floats
-from measure.calibration.extrinsics import fit_rig
+from measure.calibration.extrinsics import JointRigFit, fit_rig
 from measure.calibration.findings import (
     MAX_STRETCH,
     Workspace,
@@ -26,13 +26,12 @@ from measure.calibration.findings import (
 )
 from measure.calibration.intrinsics import FOLDS
 from measure.calibration.procedure import RigCalibration
-from measure.calibration.rig_problem import MarkerObservation, RigObservations
 from measure.checking import Finding, Level, worst_first
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import Rays, RigidTransform, nearest_point
 from measure.limits import SIGNIFICANT_SIGMAS
-from measure.model import Body, Camera
+from measure.model import Body, Camera, MarkerObservation, RigObservations
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +68,8 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
     if floor_z_mm is None and len(markers) and markers[:, 2].min() >= 0:
         floor_z_mm = 0.0
     poses = [RigidTransform(np.eye(3), point) for point in workspace.grid()]
-    fitted = (None, None) if rig.fit is None else (rig.fit.covariance, rig.fit.columns)
-    position, rotation = body_pose_sd(rig.cameras, body, poses, *(rig.joint or fitted))
+    joint = rig.joint if rig.fit is None else rig.fit.covariance
+    position, rotation = body_pose_sd(rig.cameras, body, poses, joint)
     held_out_px, held_out_mm = _held_out(rig)
     scale, scale_findings = _scale(rig)
     findings = plausibility(rig.cameras, workspace, floor_z_mm)
@@ -93,8 +92,8 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
 
 
 def _held_out(rig: RigCalibration) -> tuple[float, float]:
-    """Marks kept out of the fit in turn, and missed by how much."""
-    if rig.fit is None or rig.method == "paper" or not rig.observations.marks:
+    """Marks kept out of the joint fit in turn, and missed by how much: another is not repeated."""
+    if not isinstance(rig.fit, JointRigFit) or not rig.observations.marks:
         return float("nan"), float("nan")
     squares_px, squares_mm, count = 0.0, 0.0, 0
     for fold in range(FOLDS):
@@ -134,9 +133,9 @@ def _split(
 
 
 def _scale(rig: RigCalibration) -> tuple[float, list[Finding]]:
-    """The marker field's size as cameras placed by their boards alone see it."""
-    seen, joint = rig.observations, rig.fit is not None and rig.method == "joint"
-    if not (joint and seen.boards and seen.marks):
+    """The marker field's size as cameras placed by their boards alone see it, if those count."""
+    seen, by_boards = rig.observations, rig.fit is not None and rig.fit.corner_sd_px is not None
+    if not (by_boards and seen.boards and seen.marks):
         return float("nan"), []
     boards_only = tuple(c for c in rig.cameras_before if c.name in seen.boards)
     places = _triangulated(boards_only, seen)

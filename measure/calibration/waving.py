@@ -261,7 +261,7 @@ class BoardWave:
             cameras, around, joint = fit_common_views(self.board, lenses)
             places = workspace_of(cameras, around).grid()
             poses = [RigidTransform(np.eye(3), place) for place in places]
-            return rms_length(body_pose_sd(cameras, self.body, poses, *joint)[0][:, None]), ""
+            return rms_length(body_pose_sd(cameras, self.body, poses, joint)[0][:, None]), ""
         except (CalibrationError, DegenerateGeometryError) as problem:
             return float("nan"), str(problem)  # too few views, too much alike, or mirrored
         except ValueError:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 from measure import api
-from measure.calibration import camera_rows
+from measure.calibration import JOINT, camera_rows
 from measure.cli import console
 from measure.cli.console import CalibrationFormat, JsonFlag, OutFile, Overwrite
 
@@ -17,7 +16,7 @@ def calibrate(
     *,
     out: OutFile,
     overwrite: Overwrite = False,
-    method: Literal["joint", "paper"] = "joint",
+    method: str = JOINT,
     body: Path | None = None,
     file_format: CalibrationFormat = "triball",
     report: Path | None = None,

@@ -41,7 +41,7 @@ def view(
         raise ConfigError("say with --robot what the robot's states are, such as --robot raven")
     recordings = [recording_of(run)]
     if robot is not None:
-        write = offer(VIEWS, "robot", "`--robot`", "measure_learning")
+        write = offer(VIEWS, "robot", "`--robot`")
         recordings.append(write(run, robot, robot_log, model, frame, clock_offset_s))
     viewer = open_viewer(recordings, web, bind)
     if viewer.address is not None:

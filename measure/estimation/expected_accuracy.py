@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform, chart_jacobian
@@ -84,23 +84,21 @@ def body_pose_sd(
     body: Body,
     poses: Sequence[RigidTransform],
     covariance: Floats | None = None,
-    columns: dict[str, Ints] | None = None,
 ) -> tuple[Floats, Floats]:
     """Standard deviations of a body's pose from the calibration's own uncertainty.
 
     Args:
         cameras: with covariances.
         poses: n of them.
-        covariance: of all cameras jointly (as from a rig fit); by camera if omitted, which ignores
-            correlations between cameras.
-        columns: which rows of `covariance` are each camera's pose and free lens parameters.
+        covariance: of all cameras' poses and free lens parameters together, camera after camera (as
+            from a rig fit); by camera if omitted, which ignores correlations between cameras.
 
     Returns:
         Standard deviations (n,) of the 3-D position in mm and of the rotation in rad.
     """
     position, rotation = [], []
     for pose in poses:
-        P = _calibration_covariance(cameras, body, pose, covariance, columns)
+        P = _calibration_covariance(cameras, body, pose, covariance)
         position.append(np.sqrt(np.trace(P[:3, :3])))
         rotation.append(np.sqrt(np.trace(P[3:, 3:])))
     return np.array(position), np.array(rotation)
@@ -132,33 +130,17 @@ def pose_by_cameras(
 
 
 def _calibration_covariance(
-    cameras: Sequence[Camera],
-    body: Body,
-    pose: RigidTransform,
-    covariance: Floats | None,
-    columns: dict[str, Ints] | None,
+    cameras: Sequence[Camera], body: Body, pose: RigidTransform, covariance: Floats | None
 ) -> Floats:
-    if covariance is None or columns is None:
-        parts = zip(cameras, pose_by_cameras(cameras, body, pose), strict=True)
+    parts = list(zip(cameras, pose_by_cameras(cameras, body, pose), strict=True))
+    if covariance is None:
         return sum(
             (part @ c.covariance @ part.T for c, part in parts if c.covariance is not None),
             np.zeros((6, 6)),
         )
-    by_cameras = _by_columns(cameras, body, pose, len(covariance), columns)
+    known = [part.take([*range(6), *(6 + c.intrinsics.free)], axis=1) for c, part in parts]
+    by_cameras = np.concatenate(known, axis=1)
     return by_cameras @ covariance @ by_cameras.T
-
-
-def _by_columns(
-    cameras: Sequence[Camera], body: Body, pose: RigidTransform, size: int, columns: dict[str, Ints]
-) -> Floats:
-    """How the pose moves (6, size) with the rows of a covariance of all cameras."""
-    by_cameras = np.zeros((6, size))
-    for camera, part in zip(cameras, pose_by_cameras(cameras, body, pose), strict=True):
-        P = camera.intrinsics.covariance
-        free = np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
-        own = np.concatenate([np.arange(6), 6 + free])
-        by_cameras[:, columns[camera.name]] = part[:, own]
-    return by_cameras
 
 
 def _mm_and_deg(covariance: Floats) -> tuple[float, float]:

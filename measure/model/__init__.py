@@ -15,9 +15,18 @@ from measure.model.observations import (
     State,
 )
 from measure.model.rig import Rig, RigRows
+from measure.model.rig_fit import (
+    BoardObservation,
+    CameraFit,
+    MarkerObservation,
+    RigFit,
+    RigObservations,
+    Tolerances,
+)
 
 __all__ = [
-    "Ball", "BallColor", "BallPosition", "BallView", "Body", "Camera", "ColorRange",
-    "ConvertedImage", "Detection", "Expectation", "FrameSet", "Image", "Intrinsics", "Motion",
-    "Pose", "Projection", "Reason", "Rig", "RigRows", "State", "paper_body",
+    "Ball", "BallColor", "BallPosition", "BallView", "BoardObservation", "Body", "Camera",
+    "CameraFit", "ColorRange", "ConvertedImage", "Detection", "Expectation", "FrameSet", "Image",
+    "Intrinsics", "MarkerObservation", "Motion", "Pose", "Projection", "Reason", "Rig", "RigFit",
+    "RigObservations", "RigRows", "State", "Tolerances", "paper_body",
 ]  # fmt: skip

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from measure.arrays import Bools, Floats, floats
+from measure.arrays import Bools, Floats, Ints, floats
 from measure.geometry import Cone, Rays, RigidTransform, tangent_cone
 
 if TYPE_CHECKING:
@@ -54,6 +54,12 @@ class Intrinsics:
     def focal_px(self) -> float:
         """Mean focal length in px."""
         return float((self.matrix[0, 0] + self.matrix[1, 1]) / 2)
+
+    @property
+    def free(self) -> Ints:
+        """Which of the parameters of `covariance` have a variance: are not known exactly."""
+        diagonal = np.zeros(0) if self.covariance is None else np.diag(self.covariance)
+        return np.flatnonzero(diagonal > 0)
 
     @property
     def coefficients(self) -> Floats:
@@ -238,6 +244,20 @@ class Camera:
             out[:6, 6:] = self.pose_intrinsics_covariance
             out[6:, :6] = self.pose_intrinsics_covariance.T
         return out
+
+    def with_covariance(self, covariance: Floats, free: Ints, rms_px: float | None) -> Camera:
+        """The same with the covariance of its pose (6) and its `free` lens parameters, if any."""
+        lens, cross = None, None
+        if len(free):
+            lens, cross = np.zeros((12, 12)), np.zeros((6, 12))
+            lens[np.ix_(free, free)], cross[:, free] = covariance[6:, 6:], covariance[:6, 6:]
+        return replace(
+            self,
+            intrinsics=replace(self.intrinsics, covariance=lens),
+            pose_covariance=covariance[:6, :6],
+            pose_intrinsics_covariance=cross,
+            reprojection_rms_px=rms_px,
+        )
 
     def row_delay_s(self, row_px: ArrayLike) -> Floats:
         """How much later than the middle row other rows (...) are exposed."""

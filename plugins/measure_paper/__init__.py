@@ -1,1 +1,1 @@
-"""The method of the 2020 paper: Hough circles, midpoints of rays, and a simplex search."""
+"""The method of the 2020 paper: equation 3, Hough circles, midpoints, and a simplex search."""

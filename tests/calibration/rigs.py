@@ -7,15 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.errors import body_cost
 from measure.arrays import Floats
-from measure.calibration import Board, Chessboard, Corners, RigObservations, Tolerances
+from measure.calibration import Board, Chessboard, Corners
 from measure.calibration.board_views import board_pose
-from measure.calibration.rig_problem import BoardObservation, MarkerObservation
+from measure.calibration.starts import SeenBoard
+from measure.estimation import body_pose_sd
 from measure.geometry import RigidTransform
-from measure.model import Camera, Intrinsics
+from measure.model import Camera, CameraFit, Intrinsics, paper_body
+from measure.model.rig_fit import MarkerObservation, RigObservations, Tolerances
 
 BOARD = Chessboard((9, 6), 25.0)
 SIZE = (1280, 720)
+LENS_SD = np.array([0.4, 0.4, 0.4, 0.4])
 
 
 def looking_at(center: Floats, target: Floats) -> RigidTransform:
@@ -78,6 +82,7 @@ class Rig:
     true: tuple[Camera, ...]
     start: tuple[Camera, ...]
     observations: RigObservations
+    seen: dict[str, SeenBoard]
 
 
 def rig(
@@ -98,7 +103,7 @@ def rig(
         pixels = camera.project(board.apply(BOARD.points))
         pixels = pixels + rng.normal(0, corner_sd_px, pixels.shape)
         corners = Corners(np.arange(54), pixels, 0.4, f"{camera.name}.jpg")
-        boards[camera.name] = BoardObservation(BOARD, corners, board)
+        boards[camera.name] = SeenBoard(BOARD, corners, board)
         seen = camera.project(placed)
         ids = np.flatnonzero(camera.intrinsics.contains(seen))
         noisy = seen[ids] + rng.normal(0, mark_sd_px, (len(ids), 2))
@@ -106,7 +111,9 @@ def rig(
         known = _calibrated(camera.intrinsics, lens_sd, rng)
         rough = board @ board_pose(known, BOARD.points, pixels).inverse()
         start.append(Camera(camera.name, known, rough))
-    return Rig(true, tuple(start), RigObservations(points, boards, marks, Tolerances(marker_mm)))
+    observed = {name: board.observation for name, board in boards.items()}
+    known = RigObservations(points, observed, marks, Tolerances(marker_mm))
+    return Rig(true, tuple(start), known, boards)
 
 
 def _calibrated(intrinsics: Intrinsics, sd: Floats | None, rng: np.random.Generator) -> Intrinsics:
@@ -117,3 +124,46 @@ def _calibrated(intrinsics: Intrinsics, sd: Floats | None, rng: np.random.Genera
     covariance = np.zeros((12, 12))
     covariance[:4, :4] = np.diag(np.square(sd))
     return replace(intrinsics, matrix=matrix, covariance=covariance)
+
+
+def poses() -> list[RigidTransform]:
+    """Ten of a body amid the cameras."""
+    rng, middle = np.random.default_rng(0), np.array([0.0, 0.0, 250.0])
+    return [
+        RigidTransform.from_rotvec(rng.uniform(-0.6, 0.6, 3), middle + rng.uniform(-40, 40, 3))
+        for _ in range(10)
+    ]
+
+
+def cost_mm(estimated: tuple[Camera, ...], true: tuple[Camera, ...]) -> float:
+    """What wrong cameras cost the body's position, RMS."""
+    shifts = body_cost(estimated, true, paper_body(), poses())
+    return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
+
+
+def squared_errors(
+    fitted: CameraFit, seeds: int, lens_sd: Floats, at: list[RigidTransform]
+) -> tuple[float, float]:
+    """Of camera poses and of the body's position, over their stated variances: 1 if honest."""
+    of_cameras, of_body = [], []
+    for seed in range(seeds):
+        noisy = rig(np.random.default_rng(seed), marker_mm=0.1, lens_sd=lens_sd)
+        fit = fitted(noisy.start, noisy.observations, None)
+        for camera, true in zip(fit.cameras, noisy.true, strict=True):
+            error = true.world_from_camera.difference(camera.world_from_camera)
+            of_cameras.append(error @ np.linalg.solve(camera.pose_covariance, error) / 6)
+        shift = body_cost(fit.cameras, noisy.true, paper_body(), at)
+        sd, _ = body_pose_sd(fit.cameras, paper_body(), at, fit.covariance)
+        of_body.append(np.mean(np.sum(shift**2, axis=1) / sd**2))
+    return float(np.mean(of_cameras)), float(np.mean(of_body))
+
+
+def check_cross_covariance(fitted: CameraFit) -> None:
+    """Each camera by itself says nearly what all say together; pose and lens apart, far more."""
+    noisy, body = rig(np.random.default_rng(3), lens_sd=LENS_SD), paper_body()
+    fit = fitted(noisy.start, noisy.observations, None)
+    together, _ = body_pose_sd(fit.cameras, body, poses(), fit.covariance)
+    single, _ = body_pose_sd(fit.cameras, body, poses())
+    assert np.all((single / together > 0.5) & (single / together < 1.5))
+    apart = tuple(replace(camera, pose_intrinsics_covariance=None) for camera in fit.cameras)
+    assert np.all(body_pose_sd(apart, body, poses())[0] > 3 * together)

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from measure.api import calibrate
-from measure.calibration.boards import Corners
 from measure.calibration.extrinsics import held_within
-from measure.calibration.rig_problem import BoardObservation
-from measure.errors import CalibrationError
+from measure.errors import CalibrationError, ConfigError, PluginError
 from measure.geometry import RigidTransform
+from measure.model import BoardObservation
 from measure.session import read_calibration
 from tests.calibration.altered import AlteredCapture
 from tests.calibration.rigs import BOARD
@@ -46,8 +45,36 @@ def test_one_camera_is_located_by_a_board_alone(altered) -> None:
     assert np.linalg.norm(result.calibration.cameras[0].center - true.center) < 0.4
 
 
-CORNERS = Corners(np.arange(54), np.zeros((54, 2)), 0.4)
-SIGHTS = {"cam0": BoardObservation(BOARD, CORNERS, RigidTransform.identity())}
+def offer(install, name: str, answer: str) -> None:
+    """A package with a camera fit."""
+    source = f"""
+        import numpy as np
+        from measure.model import RigFit
+        def fit(start, observations, mark_sd_px):
+            return RigFit({answer}, 1.0)
+        """
+    install(name, source, entry_point="fit", group="measure.camera_fits", offers=":fit")
+
+
+@pytest.mark.parametrize("answer", ["start, 1 / 0", "start, np.eye(5)", "start[:0], np.eye(0)"])
+def test_a_strangers_camera_fit_is_not_believed_blindly(altered, install, answer) -> None:
+    offer(install, "acme", answer)
+    with pytest.raises(PluginError, match=r"^the camera fit 'fit' (fails|answers nonsense): "):
+        calibrate(altered("cam0").folder, "fit")
+
+
+def test_a_camera_fit_is_that_of_one_package(altered, install) -> None:
+    folder = altered("cam0").folder
+    with pytest.raises(ConfigError, match=r"no calibration method is called 'joind'; .*'joint'"):
+        calibrate(folder, "joind")
+    offer(install, "acme", "start, np.eye(6)")
+    assert calibrate(folder, "fit").calibration.provenance["method"] == "fit"
+    offer(install, "other", "start, np.eye(6)")
+    with pytest.raises(ConfigError, match=r"`--method fit` is that of acme 1.0 and of other 1.0"):
+        calibrate(folder, "fit")
+
+
+SIGHTS = {"cam0": BoardObservation(BOARD.points, np.zeros((54, 2)), RigidTransform.identity())}
 
 
 def test_unstated_board_tolerance_moves_the_rim_as_much() -> None:

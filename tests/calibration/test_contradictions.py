@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.calibration import MarkerField
+from measure.calibration import MarkerField, starts
 from measure.calibration.findings import Workspace, plausibility, residual_findings
-from measure.calibration.rig_problem import BoardObservation, MarkerObservation
-from measure.calibration.starts import check_board_against_marks, start_from_board, start_from_marks
 from measure.checking import Level
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
+from measure.model import MarkerObservation
 from tests.calibration.rigs import Rig, markers, rig
 
 FIELD = MarkerField(tuple(f"m{i:02d}" for i in range(16)), markers())
@@ -24,17 +23,17 @@ def world() -> Rig:
     return rig(np.random.default_rng(0))
 
 
-def boards(world: Rig) -> dict[str, BoardObservation]:
-    return dict(world.observations.boards)
+def boards(world: Rig) -> dict[str, starts.SeenBoard]:
+    return dict(world.seen)
 
 
 def check(
-    world: Rig, seen: dict[str, BoardObservation], marks: MarkerObservation | None = None
+    world: Rig, seen: dict[str, starts.SeenBoard], marks: MarkerObservation | None = None
 ) -> float:
     camera = world.start[0]
-    start = start_from_board("cam0", camera.intrinsics, seen["cam0"])
+    start = starts.start_from_board("cam0", camera.intrinsics, seen["cam0"])
     marks = world.observations.marks["cam0"] if marks is None else marks
-    return check_board_against_marks(start, seen, FIELD, marks)
+    return starts.check_board_against_marks(start, seen, FIELD, marks)
 
 
 def test_what_agrees_passes_with_its_disagreement_in_mm(world: Rig) -> None:
@@ -55,7 +54,7 @@ def test_markers_in_another_unit(world: Rig, in_mm: float, unit: str) -> None:
     field = replace(FIELD, points=markers() / in_mm)
     marks = world.observations.marks["cam0"]
     with pytest.raises(CalibrationError, match=f"the markers' places are in {unit}"):
-        check_board_against_marks(world.start[0], boards(world), field, marks)
+        starts.check_board_against_marks(world.start[0], boards(world), field, marks)
 
 
 def test_a_single_marker_at_a_wrong_place_is_named(world: Rig) -> None:
@@ -64,7 +63,7 @@ def test_a_single_marker_at_a_wrong_place_is_named(world: Rig) -> None:
     points = markers()
     points[wrong, 0] -= 100.0
     with pytest.raises(CalibrationError, match=f"only {FIELD.names[wrong]} does: its place or its"):
-        check_board_against_marks(
+        starts.check_board_against_marks(
             world.start[0], boards(world), replace(FIELD, points=points), marks
         )
 
@@ -73,7 +72,7 @@ def test_marks_of_mixed_names_locate_no_camera(world: Rig) -> None:
     marks = world.observations.marks["cam0"]
     mixed = replace(marks, ids=np.random.default_rng(0).permutation(marks.ids))
     with pytest.raises(CalibrationError, match="no camera pose explains its marks"):
-        start_from_marks("cam0", world.start[0].intrinsics, FIELD, mixed)
+        starts.start_from_marks("cam0", world.start[0].intrinsics, FIELD, mixed)
 
 
 def test_marks_that_miss_by_pixels_are_wrong() -> None:

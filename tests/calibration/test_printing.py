@@ -18,7 +18,7 @@ from measure.calibration.printing import BAR_MM, Sheet
 from measure.calibration.targets import read_markers
 from measure.errors import CalibrationError, ConfigError
 from measure.session import read_body
-from tests.chromium import Chromium, find_chromium
+from tests.chromium import Chromium
 
 TARGETS = Path(__file__).parents[2] / "calibration_targets"
 PX_PER_MM = 200 / 25.4
@@ -95,7 +95,6 @@ def test_svg_is_in_millimetres_and_says_the_same(tmp_path: Path) -> None:
 
 @pytest.mark.browser
 @pytest.mark.slow
-@pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine")
 @pytest.mark.parametrize("name", ["chessboard_9x6_25.toml", "charuco_8x5_27.toml"])
 def test_a_browser_draws_every_corner_of_the_svg_at_its_place(name: str, tmp_path: Path) -> None:
     sheet, path = draw_target(TARGETS / name, tmp_path / "board.svg")

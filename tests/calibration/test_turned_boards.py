@@ -14,8 +14,7 @@ from measure.calibration.board_views import LENS_MODELS, fit_lens
 from measure.calibration.capture import CaptureCamera, CaptureTable
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.rig_problem import BoardObservation
-from measure.calibration.starts import oriented_board
+from measure.calibration.starts import SeenBoard, oriented_board
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
@@ -96,9 +95,7 @@ def test_a_board_of_known_pose_lies_where_the_marks_agree(corners: tuple[int, in
     said = plain.model_copy(update={"board_origin_px": tuple(origin + 20)})
     for turn in board.turns:
         pixels = true.project(pose.apply(board.points))[turn]
-        seen = BoardObservation(
-            board, Corners(np.arange(len(pixels)), pixels, 0.4, "board.jpg"), pose
-        )
+        seen = SeenBoard(board, Corners(np.arange(len(pixels)), pixels, 0.4, "board.jpg"), pose)
         for camera, capture in ((plain, with_marks), (said, without)):
             lies = oriented_board(camera, true.intrinsics, seen, capture).corners
             assert np.allclose(lies.pixels[np.argmin(lies.ids)], origin)

@@ -21,28 +21,18 @@ from measure.calibration.views import ALL_VIEWS, choose_views
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform, align_points
 from measure.model import paper_body
-from tests.studio.waved import (
-    NOISE_PX,
-    SIZE_WH,
-    board,
-    corners,
-    looked_at,
-    picture,
-    plain_board,
-    rig,
-    waved,
-)
+from tests.studio import waved
 
-CAMERAS = rig()
+CAMERAS = waved.rig()
 NAMES = [camera.name for camera in CAMERAS]
 
 
-seen = partial(looked_at, CAMERAS)
+seen = partial(waved.looked_at, CAMERAS)
 """What the cameras see of the waved board at a time."""
 
 
 def wave_of(goal_mm=1.0):
-    return BoardWave(board(), dict.fromkeys(NAMES, SIZE_WH), paper_body(), goal_mm)
+    return BoardWave(waved.board(), dict.fromkeys(NAMES, waved.SIZE_WH), paper_body(), goal_mm)
 
 
 def at_once(views, time_s):
@@ -83,9 +73,9 @@ def test_a_board_that_is_never_tilted_is_to_be_tilted(rng):
     wave, camera = wave_of(), CAMERAS[0]
     for number, (u, v, z) in enumerate(product((-140, 0, 140), (-110, 0, 110), (400, 600))):
         turn = np.eye(3)
-        place = np.array([u, v, z]) - board().points.mean(axis=0)
+        place = np.array([u, v, z]) - waved.board().points.mean(axis=0)
         at = camera.project(
-            (camera.world_from_camera @ RigidTransform(turn, place)).apply(board().points)
+            (camera.world_from_camera @ RigidTransform(turn, place)).apply(waved.board().points)
         )
         ids = np.flatnonzero(camera.intrinsics.contains(at))
         wave.add({"cam0": Corners(ids, at[ids], 0.4)}, {"cam0": float(number)})
@@ -141,20 +131,20 @@ def test_the_expected_error_is_that_of_positions_once_the_world_is_set(rng):
         lenses = {}
         for camera in CAMERAS:
             views = [
-                Corners(v.ids, at + rng.normal(0, NOISE_PX, at.shape), 0.4, str(i))
+                Corners(v.ids, at + rng.normal(0, waved.NOISE_PX, at.shape), 0.4, str(i))
                 for i, one in enumerate(instants)
                 if (v := one.get(camera.name)) is not None
-                for at in [corners(camera, waved(1.6 * i))[v.ids]]
+                for at in [waved.corners(camera, waved.waved(1.6 * i))[v.ids]]
             ]
-            chosen = choose_views(board(), views, SIZE_WH, camera.name, None, ALL_VIEWS)
-            start = start_intrinsics(SIZE_WH, board().points, chosen.views)
-            fit = fit_lens(start, board().points, chosen.views, model)
+            chosen = choose_views(waved.board(), views, waved.SIZE_WH, camera.name, None, ALL_VIEWS)
+            start = start_intrinsics(waved.SIZE_WH, waved.board().points, chosen.views)
+            fit = fit_lens(start, waved.board().points, chosen.views, model)
             lenses[camera.name] = LensCalibration(fit, model, {}, (), chosen)
-        cameras, _, joint = fit_common_views(board(), lenses)
+        cameras, _, joint = fit_common_views(waved.board(), lenses)
         found = np.stack(places) + body_cost(cameras, true, paper_body(), poses)
         off.append(align_points(np.stack(places), found).apply(found) - np.stack(places))
         first.append(found - np.stack(places))
-        told.append(body_pose_sd(cameras, paper_body(), poses, *joint)[0])
+        told.append(body_pose_sd(cameras, paper_body(), poses, joint)[0])
         alone.append(body_pose_sd(cameras, paper_body(), poses)[0])
     scatter = rms_length(np.concatenate(off))
     for expected in (told, alone):  # what a calibration file states is of each camera alone
@@ -205,11 +195,11 @@ def test_advice_says_what_was_seen(rng):
 
 def test_a_chessboard_is_looked_for_in_small_pictures(rng):
     """As exact as the search of the whole picture, in a fraction of its time."""
-    target, camera = plain_board(), CAMERAS[0]
+    target, camera = waved.plain_board(), CAMERAS[0]
     spent = {"find": 0.0, "look": 0.0}
     for time_s in (0.0, 3.0, 7.5):
-        pose = waved(time_s, target)
-        gray = picture(camera, pose, rng, target)[:, :, 0]
+        pose = waved.waved(time_s, target)
+        gray = waved.picture(camera, pose, rng, target)[:, :, 0]
         gray = cv2.resize(gray, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
         true = 2 * camera.project(pose.apply(target.points)) + 0.5
         for way in spent:
@@ -234,8 +224,8 @@ def test_a_camera_in_which_the_board_moves_waits_alone(rng):
 def test_a_board_that_looks_the_same_turned_does_not_move_by_turning(rng):
     """Its corners may be numbered from either end at every look."""
     target, camera = Chessboard((8, 6), 25.0), CAMERAS[0]
-    wave = BoardWave(target, dict.fromkeys(NAMES, SIZE_WH), paper_body())
-    at = camera.project(waved(1.0, target).apply(target.points))
+    wave = BoardWave(target, dict.fromkeys(NAMES, waved.SIZE_WH), paper_body())
+    at = camera.project(waved.waved(1.0, target).apply(target.points))
     ways = [Corners(np.arange(len(at)), pixels, 0.4) for pixels in (at, at[::-1], at)]
     times = {"cam0": 0.0, "cam1": 0.016}
     kept = [
@@ -247,17 +237,17 @@ def test_a_board_that_looks_the_same_turned_does_not_move_by_turning(rng):
 
 def test_a_camera_in_mirror_mode_is_named_for_a_chessboard_too(rng):
     """One picture of a chessboard does not show it; all together do."""
-    target = plain_board()
-    wave = BoardWave(target, dict.fromkeys(NAMES, SIZE_WH), paper_body())
+    target = waved.plain_board()
+    wave = BoardWave(target, dict.fromkeys(NAMES, waved.SIZE_WH), paper_body())
     flipped = np.arange(len(target.points)).reshape(6, 9)[::-1].ravel()
     for time_s in np.arange(0.0, 120.0, 0.5):
         views = {}
         for camera in CAMERAS:
-            at = camera.project(waved(time_s, target).apply(target.points))
+            at = camera.project(waved.waved(time_s, target).apply(target.points))
             if camera.intrinsics.contains(at).all():
-                at = at + rng.normal(0, NOISE_PX, at.shape)
+                at = at + rng.normal(0, waved.NOISE_PX, at.shape)
                 if camera.name == "cam1":
-                    at = (at * [-1, 1] + [SIZE_WH[0] - 1, 0])[flipped]
+                    at = (at * [-1, 1] + [waved.SIZE_WH[0] - 1, 0])[flipped]
                 views[camera.name] = Corners(np.arange(len(at)), at, 0.4)
         wave.add(views, at_once(NAMES, time_s))
     assert np.isnan(wave.state().position_sd_mm)

@@ -11,15 +11,8 @@ from pathlib import Path
 import pytest
 
 from measure.results.journal import GrowingFile
+from tests.faults import kills
 from tests.faults.killed import Moment
-from tests.faults.kills import (
-    Case,
-    Uninterrupted,
-    csv_rows,
-    kept_rows,
-    killed_and_resumed,
-    second_writers,
-)
 from tests.results.conftest import measurement, open_writer
 
 SETS = 4
@@ -77,14 +70,14 @@ def test_a_kill_at_any_step_costs_nothing(tmp_path: Path) -> None:
     kept = tmp_path / "killed"
     kept.mkdir()
     killed = killed_at_every_step(whole, False, kept)
-    assert len({csv_rows(folder / "poses.csv") for folder in killed}) == SETS + 1
+    assert len({kills.csv_rows(folder / "poses.csv") for folder in killed}) == SETS + 1
     for number, folder in enumerate(killed):
-        rows, left = kept_rows(folder), sorted(contents(folder))
+        rows, left = kills.kept_rows(folder), sorted(contents(folder))
         if number % 4:
             write(folder, True)
         else:
             again = killed_at_every_step(folder, True, kept)
-            assert all(kept_rows(one) >= rows for one in again)
+            assert all(kills.kept_rows(one) >= rows for one in again)
             second = rng.choice(again)
             write(second, True)
             assert contents(second) == contents(whole), left
@@ -92,21 +85,21 @@ def test_a_kill_at_any_step_costs_nothing(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module", params=["paper"])
-def whole(request: pytest.FixtureRequest, still: Path, tmp_path_factory) -> Uninterrupted:
+def whole(request: pytest.FixtureRequest, still: Path, tmp_path_factory) -> kills.Uninterrupted:
     """A rendered session measured undisturbed."""
     folder = tmp_path_factory.mktemp("kills")
-    return Uninterrupted.of(Case("still", still, request.param), folder / "whole")
+    return kills.Uninterrupted.of(kills.Case("still", still, request.param), folder / "whole")
 
 
 @pytest.mark.slow
 def test_killed_twice_a_run_equals_the_uninterrupted_one(
-    whole: Uninterrupted, tmp_path: Path
+    whole: kills.Uninterrupted, tmp_path: Path
 ) -> None:
     """To the byte, whatever trackers and detectors had learnt by then."""
     stages = whole.stages()
     measuring, closing = stages["measuring"], stages["closing"]
     moments = [Moment(measuring[7], 0.005), Moment(closing[len(closing) // 2])]
-    outcome = killed_and_resumed(whole, tmp_path / "run", moments)
+    outcome = kills.killed_and_resumed(whole, tmp_path / "run", moments)
     assert not outcome.refused
     assert not outcome.differing
     assert outcome.rows_lost == 0
@@ -117,11 +110,11 @@ def test_killed_twice_a_run_equals_the_uninterrupted_one(
 
 @pytest.mark.slow
 def test_a_second_writer_is_refused_and_readers_are_not(
-    whole: Uninterrupted, tmp_path: Path
+    whole: kills.Uninterrupted, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
     step = whole.stages()["measuring"][5]
-    others, first = second_writers(whole.case, out, step)
+    others, first = kills.second_writers(whole.case, out, step)
     reader = others.pop("evaluate")
     # Rows are written for readers twice a second: there may be none yet.
     assert reader.code == 0 or "holds no frame set yet" in reader.said, reader.said

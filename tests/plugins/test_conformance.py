@@ -9,29 +9,21 @@ import numpy as np
 import pytest
 
 from benchmarks.sinks import address
+from measure import testing
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.model import Detection, Pose
 from measure.neighbours import commands
 from measure.session import formats
-from measure.testing import (
-    CommandConformance,
-    DetectorConformance,
-    FormatConformance,
-    PoseSolverConformance,
-    SinkConformance,
-    TrackerConformance,
-    TriangulatorConformance,
-)
 from measure_learning.testing import EstimatorConformance
 
 KITS = {
-    "detector": DetectorConformance,
-    "triangulator": TriangulatorConformance,
-    "solver": PoseSolverConformance,
+    "detector": testing.DetectorConformance,
+    "triangulator": testing.TriangulatorConformance,
+    "solver": testing.PoseSolverConformance,
     "estimator": EstimatorConformance,
-    "sink": SinkConformance,
-    "tracker": TrackerConformance,
+    "sink": testing.SinkConformance,
+    "tracker": testing.TrackerConformance,
 }
 
 
@@ -63,12 +55,12 @@ for _item in Registry.discover().loaded:
         globals()[_test_class.__name__] = _test_class
 for _name, _format in formats().items():
     globals()[f"TestFormat{_name.title()}"] = type(
-        f"TestFormat{_name.title()}", (FormatConformance,), {"format": _format}
+        f"TestFormat{_name.title()}", (testing.FormatConformance,), {"format": _format}
     )
 for _name, _command in commands().items():
     if _command.package != "measure":
         globals()[f"TestCommand{_name.title()}"] = type(
-            f"TestCommand{_name.title()}", (CommandConformance,), {"name": _name}
+            f"TestCommand{_name.title()}", (testing.CommandConformance,), {"name": _name}
         )
 del _test_class  # or pytest would collect the last one twice
 

@@ -9,22 +9,13 @@ import pytest
 
 from measure.errors import RunError
 from measure.results import RunWriter, read_run
-from tests.results.conftest import (
-    BODY,
-    CAMERAS,
-    check_whole,
-    frames_of,
-    go_on,
-    made_from,
-    measurement,
-    open_writer,
-)
+from tests.results import conftest
 
 
 def _fill(writer: RunWriter, done: list[int]) -> None:
     with writer:
         for i in range(5000):
-            writer.append(measurement(i))
+            writer.append(conftest.measurement(i))
             writer._flush_all()
             done.append(i)
 
@@ -67,13 +58,13 @@ def test_a_full_disk_wherever_it_strikes(folder: Path, room: int) -> None:
             for file in (*self._journals.values(), *self._csv.values()):
                 file._file = _FullAfter(file._file, left)
 
-    writer = OnSmallDisk(folder, made_from(), [BODY], CAMERAS)
+    writer = OnSmallDisk(folder, conftest.made_from(), [conftest.BODY], conftest.CAMERAS)
     done: list[int] = []
     with pytest.raises(RunError, match="the disk is full"):
         _fill(writer, done)
-    assert frames_of(folder) == done
-    assert go_on(folder, len(done) + 3) == len(done)
-    check_whole(folder, len(done) + 3)
+    assert conftest.frames_of(folder) == done
+    assert conftest.go_on(folder, len(done) + 3) == len(done)
+    conftest.check_whole(folder, len(done) + 3)
 
 
 def test_a_disk_full_at_the_very_end_keeps_the_journals(
@@ -85,9 +76,9 @@ def test_a_disk_full_at_the_very_end_keeps_the_journals(
         raise OSError(28, os.strerror(28))
 
     def write() -> None:
-        with open_writer(folder) as writer:
+        with conftest.open_writer(folder) as writer:
             for i in range(4):
-                writer.append(measurement(i))
+                writer.append(conftest.measurement(i))
             monkeypatch.setattr(pq, "write_table", full)
             writer.finish()
 
@@ -95,5 +86,5 @@ def test_a_disk_full_at_the_very_end_keeps_the_journals(
         write()
     monkeypatch.undo()
     assert not read_run(folder).finished
-    assert go_on(folder, 4) == 4
-    check_whole(folder, 4)
+    assert conftest.go_on(folder, 4) == 4
+    conftest.check_whole(folder, 4)

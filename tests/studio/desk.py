@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import uvicorn
+from fastapi import FastAPI
+
+from measure_studio.page.door import Door
 from tests.chromium import Chromium
 
 BUTTON = "[...document.querySelectorAll('button')].find(b => b.innerText.trim().match(/{}/i))"
@@ -34,6 +39,23 @@ def studio(folder: Path, *words: str) -> Iterator[str]:
             process.terminate()
             process.wait(30)
     assert process.returncode == 0
+
+
+@contextmanager
+def served(fill: Callable[[FastAPI], object], path: str = "") -> Iterator[str]:
+    """What `fill` adds to an application, behind the page's door; yields the path's address."""
+    fill(application := FastAPI())
+    config = uvicorn.Config(Door(application), port=0, log_level="error")
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.05)
+    try:
+        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}{path}"
+    finally:
+        server.should_exit = True
+        thread.join()
 
 
 def go(page: Chromium, address: str) -> None:

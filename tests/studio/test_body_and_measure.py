@@ -11,15 +11,10 @@ import pytest
 from measure.session import open_session, read_trajectory
 from measure_studio.page.layout import WIDTH_PX
 from tests.camera_server import ServedCamera, serving
-from tests.chromium import Chromium, find_chromium
+from tests.chromium import Chromium
 from tests.studio.desk import FOOT, choose, click_at, go, press, strike, studio
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.timeout(400),
-    pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine"),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(400)]
 PERIOD_S = 0.25
 SAYS = "document.body.innerText.includes({!r})"
 SHOWN = "document.querySelectorAll('img.live[src^=blob]').length >= {}"

@@ -10,16 +10,12 @@ import pytest
 
 from measure.cli import main
 from tests.camera_server import ServedCamera, serving
-from tests.chromium import Chromium, find_chromium
+from tests.chromium import Chromium
 from tests.faults.cameras import FAULTS
 from tests.faults.hostile_camera import HostileCamera, hostile
 from tests.studio.desk import fill, go, press, strike, studio
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine"),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 SHOWN = "document.querySelectorAll('img.live[src^=blob]').length == {}"
 STATE = "document.querySelector('[data-camera={}]')?.innerText.includes('{}')"
 

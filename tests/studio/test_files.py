@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import urlopen
@@ -13,14 +10,13 @@ from urllib.request import urlopen
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-import uvicorn
 from fastapi import FastAPI
 from starlette.responses import HTMLResponse
 
 from measure.viewing.report.page import Page
-from measure_studio.page.door import Door
 from measure_studio.page.server import add_files
-from tests.chromium import Chromium, find_chromium
+from tests.chromium import Chromium
+from tests.studio.desk import served
 
 ATTACK = """<html><body><p id="what">begun</p><script>
 const told = document.getElementById("what");
@@ -32,23 +28,14 @@ Promise.allSettled(tries).then((ends) => {
 </script></body></html>"""
 
 
-@contextmanager
-def served(folder: Path) -> Iterator[str]:
-    """The files alone, and a secret page, behind the door; yields the server's address."""
-    application = FastAPI()
-    add_files(application, folder)
-    application.get("/secret")(lambda: HTMLResponse(f"{ATTACK}<b>secret</b>"))
-    config = uvicorn.Config(Door(application), port=0, log_level="error")
-    server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        time.sleep(0.05)
-    try:
-        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
-    finally:
-        server.should_exit = True
-        thread.join()
+def files_of(folder: Path) -> Callable[[FastAPI], None]:
+    """The files alone, and a secret page."""
+
+    def fill(application: FastAPI) -> None:
+        add_files(application, folder)
+        application.get("/secret")(lambda: HTMLResponse(f"{ATTACK}<b>secret</b>"))
+
+    return fill
 
 
 @pytest.mark.parametrize(
@@ -60,7 +47,7 @@ def test_what_is_no_file_of_the_folder_is_not_found(tmp_path, name, capfd):
     (tmp_path / "out.csv").write_text("secret")
     (folder / "x.toml").write_text("")
     (folder / "loop.csv").symlink_to(folder / "loop.csv")
-    with served(folder) as address, pytest.raises(HTTPError, match="404"):
+    with served(files_of(folder)) as address, pytest.raises(HTTPError, match="404"):
         urlopen(f"{address}/file/{name}", timeout=20)
     assert "Traceback" not in capfd.readouterr().err
 
@@ -68,7 +55,10 @@ def test_what_is_no_file_of_the_folder_is_not_found(tmp_path, name, capfd):
 @pytest.mark.parametrize(("name", "boxed"), [("a.html", True), ("A.SVG", True), ("a.csv", False)])
 def test_pages_of_the_folder_go_out_in_a_box(tmp_path, name, boxed):
     (tmp_path / name).write_text("<svg/>")
-    with served(tmp_path) as address, urlopen(f"{address}/file/{name}", timeout=20) as answer:
+    with (
+        served(files_of(tmp_path)) as address,
+        urlopen(f"{address}/file/{name}", timeout=20) as answer,
+    ):
         policy = answer.headers["Content-Security-Policy"]
         assert ("sandbox" in policy) == boxed
         assert "allow-same-origin" not in policy
@@ -77,7 +67,6 @@ def test_pages_of_the_folder_go_out_in_a_box(tmp_path, name, boxed):
 
 @pytest.mark.browser
 @pytest.mark.slow
-@pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine")
 def test_reports_draw_and_a_strangers_page_reaches_nothing(tmp_path):
     page = Page("A report", "good", "good")
     at = np.arange(5.0)
@@ -89,7 +78,7 @@ def test_reports_draw_and_a_strangers_page_reaches_nothing(tmp_path):
     inlined = page.render("end").replace("</main>", "<script>document.title = 'mine'</script>")
     (tmp_path / "spoilt.html").write_text(inlined, "utf-8")
     told = "(document.getElementById('what')?.textContent ?? 'begun')"
-    with served(tmp_path) as address, Chromium() as browser:
+    with served(files_of(tmp_path)) as address, Chromium() as browser:
         browser.open(f"{address}/file/report.html")
         drawn = "document.querySelectorAll('.main-svg, .gl-container canvas').length"
         browser.wait_for(f"document.readyState == 'complete' && {drawn} > 3", 60)

@@ -19,28 +19,11 @@ from measure.results import read_run
 from measure.session import read_body, read_calibration
 from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
 from tests.camera_server import ServedCamera, serving
-from tests.chromium import Chromium, find_chromium
+from tests.chromium import Chromium
 from tests.simulated.sessions import rendered
-from tests.studio import waved
-from tests.studio.desk import (
-    FOOT,
-    ONE_PRIMARY,
-    count,
-    fill,
-    go,
-    go_on,
-    is_done,
-    press,
-    strike,
-    studio,
-)
+from tests.studio import desk, waved
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.timeout(900),
-    pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine"),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(900)]
 ADVICE = "document.querySelector('[data-advice]')?.innerText"
 JUDGEMENT = "document.querySelector('[data-judgement]')?.innerText"
 FIGURES = "document.querySelector('[data-body]')?.innerText ?? ''"
@@ -98,23 +81,23 @@ def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
     desk, balls = tmp_path / "desk", ball_pictures()
     boards = CHARUCO.pictures(rng, waved.rig())
     served = {n: ServedCamera(some, PERIOD_S, stamps=True) for n, some in boards.items()}
-    with serving(served) as addresses, studio(desk) as address, Chromium(1440, 900) as page:
+    with serving(served) as addresses, desk.studio(desk) as address, Chromium(1440, 900) as page:
         waits = Waits()
-        go(page, address)
-        page.wait_for(ONE_PRIMARY, 20)
+        desk.go(page, address)
+        page.wait_for(desk.ONE_PRIMARY, 20)
         add_cameras(page, addresses)
-        go_on(page, "Calibration")
+        desk.go_on(page, "Calibration")
         wave_the_board(page, waits)
         serve(served, {n: at_rest(some[0], rng) for n, some in boards.items()})
         check_pair(desk, 1.5, 0.3)
-        go_on(page, "World")
+        desk.go_on(page, "World")
         put_the_world_at_the_board(page, waits)
         serve(served, balls)
-        go_on(page, "Body")
+        desk.go_on(page, "Body")
         make_the_body(page, waits)
         check_body(desk)
         serve(served, {n: at_rest(some[0], rng) for n, some in balls.items()}, AT_REST_S)
-        go_on(page, "Measure")
+        desk.go_on(page, "Measure")
         measure(page, waits)
         check_steps(page, waits)
         mark_an_event(page)
@@ -148,65 +131,65 @@ def serve(served, pictures, period_s=PERIOD_S):
 
 def add_cameras(page, addresses):
     """All at once, by a range in the address, as it is typed for two as for four."""
-    count(page)  # The field is clicked
+    desk.count(page)  # The field is clicked
     first, last = addresses.values()
     both = first.replace("/cam0", "/cam[0-1]")
     assert last == first.replace("/cam0", "/cam1")
-    fill(page, "Camera", both)
-    count(page, 0, len(both))
-    strike(page, "Enter", "\r")
+    desk.fill(page, "Camera", both)
+    desk.count(page, 0, len(both))
+    desk.strike(page, "Enter", "\r")
     page.wait_for(SHOWN.format(2), 30)
     for fact in ("640 x 480 px", "its own clock"):
         page.wait_for(f"document.body.innerText.includes('{fact}')", 20)
-    page.wait_for(is_done("Cameras"), 20)
+    page.wait_for(desk.is_done("Cameras"), 20)
 
 
 def wave_the_board(page, waits):
     """Advice comes till nothing is missing; then the cameras are calibrated without a click."""
-    press(page, "wave the board")
+    desk.press(page, "wave the board")
     page.wait_for(f"/cam/.test({ADVICE})", 30)
     page.wait_for("document.querySelectorAll('.over circle.corner').length > 6", 30)
-    waits.note(page, "waving", f"{FOOT}.includes('calibrating') || {JUDGEMENT}", 240)
+    waits.note(page, "waving", f"{desk.FOOT}.includes('calibrating') || {JUDGEMENT}", 240)
     waits.note(page, "calibrating", f"/The cameras are calibrated/.test({JUDGEMENT})", 120)
-    page.wait_for(is_done("Calibration"), 20)
-    page.wait_for(ONE_PRIMARY, 20)
+    page.wait_for(desk.is_done("Calibration"), 20)
+    page.wait_for(desk.ONE_PRIMARY, 20)
 
 
 def put_the_world_at_the_board(page, waits):
     """It is at rest by now, where both cameras see it."""
     page.wait_for("document.body.innerText.includes('The board is seen')", 30)
-    assert page.evaluate(f"!{is_done('World')}")
-    press(page, "the world is where")
-    waits.note(page, "world", is_done("World"), 30)
+    assert page.evaluate(f"!{desk.is_done('World')}")
+    desk.press(page, "the world is where")
+    waits.note(page, "world", desk.is_done("World"), 30)
     page.wait_for("document.querySelectorAll('.over path.axis.z').length >= 2", 20)
 
 
 def make_the_body(page, waits):
     """Balls of the paper's colours need no click: a recording says where they are on the body."""
     page.wait_for(SHOWN.format(2), 30)
-    press(page, "record and measure")
-    waits.note(page, "body", f"/body-1.*3 balls/.test({FOOT})", 240)
+    desk.press(page, "record and measure")
+    waits.note(page, "body", f"/body-1.*3 balls/.test({desk.FOOT})", 240)
     page.wait_for(f"/green - red/.test({FIGURES})", 20)
-    page.wait_for(is_done("Body"), 20)
-    page.wait_for(ONE_PRIMARY, 20)
+    page.wait_for(desk.is_done("Body"), 20)
+    page.wait_for(desk.ONE_PRIMARY, 20)
 
 
 def measure(page, waits):
-    press(page, "measure$")
+    desk.press(page, "measure$")
     first = "document.querySelector('[data-pose]')?.innerText.includes('±')"
     waits.note(page, "first pose", first, 90)
 
 
 def mark_an_event(page):
     """And stop."""
-    strike(page, "m", "m")
+    desk.strike(page, "m", "m")
     page.wait_for("document.querySelector('[data-events]').innerText.includes('1. event')", 20)
     page.idle(1.0)
-    press(page, "stop")
-    page.wait_for(f"/run-1: .* believed/.test({FOOT})", 90)
+    desk.press(page, "stop")
+    page.wait_for(f"/run-1: .* believed/.test({desk.FOOT})", 90)
     page.wait_for("!!document.querySelector('a[href$=\"run-1/report.html\"]')", 20)
-    page.wait_for(is_done("Measure"), 20)
-    page.wait_for(ONE_PRIMARY, 20)
+    page.wait_for(desk.is_done("Measure"), 20)
+    page.wait_for(desk.ONE_PRIMARY, 20)
     page.wait_for("/OLD/.test(document.querySelector('[data-pose]').innerText)", 20)
     assert page.evaluate("document.querySelector('[data-help]').hash") == "#measure"
 

@@ -9,17 +9,12 @@ from measure.api import shipped_targets
 from measure.calibration.targets import read_markers
 from measure.session import Calibration, read_calibration, write_calibration
 from tests.camera_server import ServedCamera, serving
-from tests.chromium import Chromium, find_chromium
+from tests.chromium import Chromium
 from tests.studio import waved
 from tests.studio.desk import FOOT, choose, click_at, go, press, studio
 from tests.studio.test_from_nothing import at_rest, cameras, jpeg
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.timeout(600),
-    pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine"),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(600)]
 FIELD = read_markers(shipped_targets()["raven_markers_16"])
 NOTE = "document.querySelector('.q-notifications')?.innerText.includes({!r})"
 

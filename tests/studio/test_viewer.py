@@ -2,47 +2,24 @@
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from urllib.error import HTTPError
 from urllib.request import ProxyHandler, build_opener
 
 import pytest
-import uvicorn
-from fastapi import FastAPI
 
 from measure import api
 from measure_studio import api as studio_api
 from measure_studio.page.bench import Bench
-from measure_studio.page.door import Door
 from measure_studio.page.server import add_viewer
-from tests.chromium import Chromium, find_chromium
+from tests.chromium import Chromium
+from tests.studio.desk import served
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine"),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 
-@contextmanager
-def served(bench) -> Iterator[str]:
-    """The viewer alone, behind the door; yields its address."""
-    application = FastAPI()
-    add_viewer(application, bench)
-    config = uvicorn.Config(Door(application), port=0, log_level="error")
-    server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        time.sleep(0.05)
-    try:
-        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}/viewer/"
-    finally:
-        server.should_exit = True
-        thread.join()
+def shown(bench):
+    """The viewer alone."""
+    return served(lambda application: add_viewer(application, bench), "/viewer/")
 
 
 def foreign(page):
@@ -52,7 +29,7 @@ def foreign(page):
 def test_the_viewer_asks_this_machine_alone(tmp_path):
     """It would ask others for its letters, for news, and to tell that it was used."""
     bench = Bench(tmp_path, api.Registry.discover(), True, studio_api.CaptureRequest())
-    with studio_api.web_viewer() as (viewer, _), served(bench) as address, Chromium() as page:
+    with studio_api.web_viewer() as (viewer, _), shown(bench) as address, Chromium() as page:
         page.open(address)
         page.wait_for("document.body?.innerText.includes('while something is measured')", 20)
         bench.viewer = viewer
@@ -69,9 +46,9 @@ def test_a_laboratorys_proxy_is_not_asked_for_it(tmp_path, monkeypatch):
     bench = Bench(tmp_path, api.Registry.discover(), True, studio_api.CaptureRequest())
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     browser = build_opener(ProxyHandler({}))
-    with studio_api.web_viewer() as (bench.viewer, _), served(bench) as address:
+    with studio_api.web_viewer() as (bench.viewer, _), shown(bench) as address:
         assert b"<html" in browser.open(address, timeout=20).read()
         with pytest.raises(HTTPError, match="404"):
             browser.open(f"{address}nothing.js", timeout=20)
-    with served(bench) as address, pytest.raises(HTTPError, match="404"):
+    with shown(bench) as address, pytest.raises(HTTPError, match="404"):
         browser.open(address, timeout=20)

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from measure.cli import main
+from measure.session import read_calibration
 from measure.simulation import Still
 from measure.testing import example
+from tests.calibration.altered import AlteredCapture
 from tests.simulated.sessions import rendered
 from tests.third_party.conftest import HERE, WHOLE, Environment
 
@@ -170,6 +172,17 @@ def test_a_format_is_read_and_written(environment: Environment, session, run, tm
     ] * 2
 
 
+def test_a_camera_fit_is_chosen_by_name(environment: Environment, renders, tmp_path):
+    capture = AlteredCapture(renders / "E_calibration", tmp_path / "capture", ["cam0", "cam1"])
+    out = tmp_path / "cameras.toml"
+    words = ("calibrate", str(capture.folder), "--method", "pnp", "--out", str(out))
+    assert environment.measure_json(*words)["method"] == "pnp"
+    true = read_calibration(renders / "E_calibration" / "truth_calibration.toml")
+    for camera in read_calibration(out).cameras:
+        off = camera.center - true.camera(camera.name).center
+        assert off @ np.linalg.solve(camera.pose_covariance[:3, :3], off) < 20
+
+
 @pytest.fixture
 def without(environment: Environment) -> Iterator[Callable[[str], None]]:
     """Takes a package out of the environment, until the test ends."""
@@ -187,7 +200,7 @@ def without(environment: Environment) -> Iterator[Callable[[str], None]]:
 
 
 def test_what_is_missing_is_named_and_the_rest_works(
-    environment: Environment, session, tmp_path, without, monkeypatch
+    environment: Environment, session, tmp_path, without, monkeypatch, renders
 ):
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     names = ("lab", "learning", "studio", "formats", "sinks")
@@ -209,6 +222,11 @@ def test_what_is_missing_is_named_and_the_rest_works(
     done = environment.measure("export", str(tmp_path / "run"), "--format", "csv")
     assert done.returncode == 2
     assert "no export format is called 'csv'" in done.stderr
+    without("measure_paper")
+    words = ("--method", "paper", "--out", str(tmp_path / "c.toml"))
+    done = environment.measure("calibrate", str(renders / "E_calibration"), *words)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "`--method paper` comes with the package measure_paper" in done.stderr
 
 
 def test_an_estimator_learns_and_its_model_runs_without_it(environment: Environment, tmp_path):

@@ -17,13 +17,9 @@ from measurements import BODY, CAMERAS, measurement
 from measure.results import Provenance, RunWriter, read_run
 from measure.viewing.recording import RunRecording, open_recording
 from measure_lab.run_report import run_report
-from tests.chromium import Chromium, find_chromium
+from tests.chromium import Chromium
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine"),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 PROVENANCE = Provenance("/data/s", "a", "calibration.toml", "b", "c", {"name": "precise"}, {})
 COUNT = 40
 DRAWN = "[...document.querySelectorAll('.figure')].every(f => f.querySelector('.main-svg'))"

@@ -14,7 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.calibration import least_squares
-from measure.calibration.board_views import changed, free_parameters
+from measure.calibration.board_views import changed
 from measure.calibration.refining.priors import CameraPrior, NoiseModel
 from measure.calibration.refining.recording import BallMotion, Recording
 from measure.geometry import RigidTransform, skew
@@ -58,7 +58,7 @@ class RefineLayout:
     ) -> RefineLayout:
         """Lay out: cameras, then centres, then shifts, then clocks."""
         take = least_squares.Columns()
-        free = tuple(free_parameters(camera) for camera in cameras)
+        free = tuple(camera.intrinsics.free for camera in cameras)
         own = tuple(take(6 + len(lens)) for lens in free)
         centers = take(0 if body_is_exact else 3 * balls)
         shifts = take(2 * balls * len(cameras)).reshape(len(cameras), -1)

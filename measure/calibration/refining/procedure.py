@@ -172,7 +172,7 @@ def _body_sd(
     picked = np.unique(np.linspace(0, len(recording.times_s) - 1, SPREAD_OVER).astype(int))
     poses = [recording.world_from_body[int(i)] for i in picked]
     before, after = (
-        body_pose_sd(cameras, body, poses, covariance, refinement.columns)[0]
+        body_pose_sd(cameras, body, poses, covariance)[0]
         for cameras, covariance in (
             (first, refinement.prior),
             (refinement.cameras, refinement.covariance),

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
-from measure.calibration.board_views import with_covariance
 from measure.calibration.least_squares import LeastSquaresSolution
 from measure.calibration.refining.priors import (
     USUAL_POSITION_MM,
@@ -203,7 +202,7 @@ def _answer(
     shifted = problem.residuals_px(replace(state, shifts_px=np.zeros_like(state.shifts_px)))
     after = _rms(shifted)
     cameras = tuple(
-        with_covariance(camera, P[np.ix_(columns, columns)], free, after[camera.name])
+        camera.with_covariance(P[np.ix_(columns, columns)], free, after[camera.name])
         for camera, columns, free in zip(state.cameras, layout.cameras, layout.free, strict=True)
     )
     known = np.zeros((state.centers.size, state.centers.size))

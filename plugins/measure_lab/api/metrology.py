@@ -226,8 +226,7 @@ def _moved(given: Calibration, place: UncertainTransform, origin: str) -> Calibr
     new_from_old = place.transform.inverse()
     notes = dict(given.provenance)
     joint = notes.pop("joint_covariance", None)
-    lenses = [c.intrinsics.covariance for c in given.cameras]
-    sizes = [6 + (0 if P is None else np.count_nonzero(np.diag(P) > 0)) for P in lenses]
+    sizes = [6 + len(c.intrinsics.free) for c in given.cameras]
     if joint is not None and len(joint) == sum(sizes):
         turn = np.eye(len(joint))
         for start in np.cumsum([0, *sizes[:-1]]):

@@ -13,12 +13,7 @@ from measure.host import Registry
 from measure.measuring import Status
 from measure.model import BallColor, Image
 from measure.session import open_session, read_trajectory
-from measure_plugins._acquisition.color_table import (
-    classify,
-    color_table,
-    much_in_shade,
-    with_shade,
-)
+from measure_plugins._acquisition import color_table
 from tests.plugins.acquisition.test_candidates import BGR, RAVEN, assert_at, search
 from tests.simulated.sessions import rendered
 from tests.simulated.unusual import unusual_scenes
@@ -51,11 +46,11 @@ def test_the_whole_ball_is_found_not_its_lit_part(color, lit_share):
 
 def test_colour_reaches_into_the_dark_but_not_into_grey():
     colors = tuple(BallColor.named(name) for name in HUED)
-    wide, usual = with_shade(colors), color_table(colors)
+    wide, usual = color_table.with_shade(colors), color_table.color_table(colors)
     assert np.all(wide & usual == usual)  # nothing is lost
     grey = np.random.default_rng(0).normal(20, 2.5, (360, 640, 3))
     cloth = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-    assert np.count_nonzero(classify(cloth, wide, wide, 4)[0]) < 0.01 * 90 * 160
+    assert np.count_nonzero(color_table.classify(cloth, wide, wide, 4)[0]) < 0.01 * 90 * 160
     assert wide[1, 1, 1] == 0  # black
     for bit, name in enumerate(HUED):
         b, g, r = (np.array(BGR[name]) * DARK).astype(int) // 4
@@ -66,18 +61,18 @@ def test_colour_reaches_into_the_dark_but_not_into_grey():
 def test_colours_without_a_hue_do_not():
     for name in ("white", "black"):
         colors = (BallColor.named(name),)
-        assert np.array_equal(with_shade(colors), color_table(colors))
+        assert np.array_equal(color_table.with_shade(colors), color_table.color_table(colors))
 
 
 def test_pictures_in_ordinary_light_are_searched_once():
     lit, dark = np.zeros((40, 60), np.uint8), np.zeros((40, 60), np.uint8)
     lit[10:20, 10:20] = dark[10:20, 10:20] = 2
-    assert not much_in_shade(lit, dark, 2)
+    assert not color_table.much_in_shade(lit, dark, 2)
     dark[20:22, 10:20] = 2
-    assert not much_in_shade(lit, dark, 2)
+    assert not color_table.much_in_shade(lit, dark, 2)
     dark[20:24, 10:20] = 2
-    assert much_in_shade(lit, dark, 2)
-    assert not much_in_shade(lit, dark, 1)
+    assert color_table.much_in_shade(lit, dark, 2)
+    assert not color_table.much_in_shade(lit, dark, 1)
 
 
 def test_a_body_by_a_desk_lamp_is_measured_from_the_first_pictures():

@@ -9,7 +9,7 @@ from measure.geometry import RigidTransform, squared_mahalanobis
 from measure.model import Body, Motion
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
 from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator
-from tests.scenes import FOUR, RAVEN, a_pose, moved, of_ball, ring, see
+from tests.scenes import FOUR, RAVEN, a_pose, of_ball, ring, see, strayed
 
 TRIANGULATOR = ReprojectionTriangulator(ReprojectionConfig())
 POSE_COVARIANCE = np.diag([0.3, 0.3, 0.3, 5e-4, 5e-4, 5e-4]) ** 2
@@ -58,13 +58,7 @@ def test_calibration_errors_are_shared_by_all_balls():
     known = ring(pose_covariance=POSE_COVARIANCE)
     distance = []
     for _ in range(300):
-        true = {
-            name: moved(
-                c,
-                c.world_from_camera.perturb(rng.multivariate_normal(np.zeros(6), POSE_COVARIANCE)),
-            )
-            for name, c in known.items()
-        }
+        true = strayed(known, rng)
         truth = a_pose(rng)
         pose = solve(RAVEN, see(true, RAVEN, truth, 0.1, rng), known)
         distance.append(

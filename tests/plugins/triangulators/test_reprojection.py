@@ -9,7 +9,7 @@ from measure.geometry import RigidTransform, squared_mahalanobis
 from measure.host import Settings
 from measure_plugins.triangulators.dlt import DltTriangulator
 from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator
-from tests.scenes import RAVEN, a_pose, moved, of_ball, ring, see
+from tests.scenes import RAVEN, a_pose, of_ball, ring, see, strayed
 
 POSE_COVARIANCE = np.diag([0.3, 0.3, 0.3, 5e-4, 5e-4, 5e-4]) ** 2
 
@@ -61,13 +61,7 @@ def test_covariance_includes_the_camera_poses():
     known = ring(pose_covariance=POSE_COVARIANCE)
     distance = []
     for _ in range(400):
-        true = {
-            name: moved(
-                c,
-                c.world_from_camera.perturb(rng.multivariate_normal(np.zeros(6), POSE_COVARIANCE)),
-            )
-            for name, c in known.items()
-        }
+        true = strayed(known, rng)
         pose = a_pose(rng)
         seen = of_ball(see(true, RAVEN, pose, 0.1, rng), "red")
         position = reprojection().triangulate(seen, known)

@@ -1,13 +1,17 @@
-"""Calibrations as rows of numbers, and runs as lines of JSON."""
+"""Calibrations as rows of numbers, runs as lines of JSON, cameras by their marks alone."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
+from scipy.linalg import block_diag
 
 from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
+from measure.model import Camera, RigFit, RigObservations
 from measure.session import Calibration, Format, StatedCamera, StatedRig
 
 HEADING = "#acme rows 1"
@@ -58,3 +62,25 @@ ROWS = Format(
     write_calibration=write_rows,
     write_run=write_run,
 )
+
+
+def fit_by_pnp(
+    start: tuple[Camera, ...], observations: RigObservations, mark_sd_px: float | None = None
+) -> RigFit:
+    """Each camera by itself, from six marks or more; its lens is taken as exact."""
+    cameras, sds = [], []
+    for camera in start:
+        marks = observations.marks.get(camera.name)
+        if marks is None or len(marks.ids) < 6:
+            raise CalibrationError(f"camera {camera.name}: `pnp` needs six marks")
+        world, rays = observations.markers[marks.ids], camera.intrinsics.unproject(marks.pixels)
+        _, turn, shift = cv2.solvePnP(world, rays[:, :2] / rays[:, 2:], np.eye(3), None)
+        pose = RigidTransform.from_rotvec(turn.ravel(), shift.ravel()).inverse()
+        placed = Camera(camera.name, camera.intrinsics, pose)
+        predicted, _, by_pose, _ = placed.project_with_jacobians(world)
+        off = marks.pixels - predicted
+        sds.append(mark_sd_px or float(np.sqrt(np.sum(off**2) / (off.size - 6))))
+        P = sds[-1] ** 2 * np.linalg.inv(np.einsum("nki,nkj->ij", by_pose, by_pose))
+        cameras.append(placed.with_covariance(P, np.zeros(0, np.int64), sds[-1]))
+    covariance = block_diag(*(camera.pose_covariance for camera in cameras))
+    return RigFit(tuple(cameras), covariance, max(sds))
