@@ -7,11 +7,11 @@ from measure.geometry.covariance import (
     propagate,
     squared_mahalanobis,
 )
-from measure.geometry.rays import Midpoints, Rays, midpoints, nearest_point, usable_pairs
+from measure.geometry.rays import Rays, nearest_point, usable_pairs
 from measure.geometry.transform import RigidTransform, align_points, chart_jacobian, skew
 
 __all__ = [
-    "Cone", "Midpoints", "Rays", "RigidTransform", "UncertainTransform", "align_points",
-    "chart_jacobian", "chi_square_quantile", "fit_cone", "midpoints", "nearest_point", "propagate",
-    "skew", "squared_mahalanobis", "tangent_cone", "usable_pairs",
+    "Cone", "Rays", "RigidTransform", "UncertainTransform", "align_points", "chart_jacobian",
+    "chi_square_quantile", "fit_cone", "nearest_point", "propagate", "skew", "squared_mahalanobis",
+    "tangent_cone", "usable_pairs",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Rays, taken as whole lines: the points nearest to them, and midpoints between pairs of them."""
+"""Rays, taken as whole lines: the point nearest to them, and pairs that are far from parallel."""
 
 from __future__ import annotations
 
@@ -65,20 +65,6 @@ def nearest_point(rays: Rays, weights: Floats | None = None) -> Floats:
     return np.linalg.solve(normal, np.einsum("nij,nj->i", across, rays.origins))
 
 
-@dataclass(frozen=True, eq=False)
-class Midpoints:
-    """The common perpendiculars of the pairs of lines that are not nearly parallel."""
-
-    pairs: Ints  # (p, 2) rows of the lines of each pair
-    points: Floats  # (..., p, 3) midpoints in mm
-    gaps: Floats  # (..., p) lengths of the perpendiculars in mm
-
-    @property
-    def mean(self) -> Floats:
-        """The mean (..., 3) of the midpoints."""
-        return np.asarray(self.points.mean(axis=-2))
-
-
 def usable_pairs(rays: Rays, min_angle_rad: float = MIN_PARALLAX_RAD) -> Ints:
     """Pairs (p, 2) of n lines that meet at `min_angle_rad` or more, either way round.
 
@@ -95,23 +81,3 @@ def usable_pairs(rays: Rays, min_angle_rad: float = MIN_PARALLAX_RAD) -> Ints:
             f"more (widest {np.degrees(np.arcsin(min(sines.max(initial=0.0), 1.0))):.3f} deg)"
         )
     return pairs[good]
-
-
-def midpoints(origins: Floats, directions: Floats, pairs: Ints) -> Midpoints:
-    """Midpoints of the common perpendiculars of chosen pairs (section II.D of the paper).
-
-    Args:
-        origins: (..., n, 3) in mm.
-        directions: (..., n, 3) unit vectors.
-        pairs: (p, 2) rows; no pair may be parallel.
-    """
-    first, second = pairs[:, 0], pairs[:, 1]
-    d1, d2 = directions[..., first, :], directions[..., second, :]
-    between = origins[..., second, :] - origins[..., first, :]
-    normal = np.cross(d1, d2)
-    sine2 = np.sum(normal * normal, axis=-1)
-    along1 = np.sum(np.cross(between, d2) * normal, axis=-1) / sine2
-    along2 = np.sum(np.cross(between, d1) * normal, axis=-1) / sine2
-    foot1 = origins[..., first, :] + along1[..., None] * d1
-    foot2 = origins[..., second, :] + along2[..., None] * d2
-    return Midpoints(pairs, (foot1 + foot2) / 2, np.linalg.norm(foot2 - foot1, axis=-1))

@@ -13,7 +13,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
-from measure.geometry import Rays, midpoints, propagate, usable_pairs
+from measure.geometry import Rays, propagate, usable_pairs
 from measure.host import Settings, Triangulator, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Rig
 
@@ -60,7 +60,7 @@ class MidpointTriangulator(Triangulator):
             pairs = usable_pairs(rays, np.radians(self.config.min_angle_deg))
         except DegenerateGeometryError:
             return None
-        center = midpoints(rays.origins, rays.directions, pairs).mean
+        center = mean_midpoint(rays.origins, rays.directions, pairs)
         used = sorted(set(pairs.ravel().tolist()))
         ahead = np.sum((center - rays.origins) * rays.directions, axis=1)
         if np.any(ahead[used] <= 0):
@@ -80,6 +80,26 @@ class MidpointTriangulator(Triangulator):
 def measure_triangulators() -> list[type[Triangulator]]:
     """Register the triangulator."""
     return [MidpointTriangulator]
+
+
+def mean_midpoint(origins: Floats, directions: Floats, pairs: Ints) -> Floats:
+    """The mean (..., 3) in mm of the midpoints of the common perpendiculars of chosen pairs.
+
+    Args:
+        origins: (..., n, 3) in mm.
+        directions: (..., n, 3) unit vectors.
+        pairs: (p, 2) rows; no pair may be parallel.
+    """
+    first, second = pairs[:, 0], pairs[:, 1]
+    d1, d2 = directions[..., first, :], directions[..., second, :]
+    between = origins[..., second, :] - origins[..., first, :]
+    normal = np.cross(d1, d2)
+    sine2 = np.sum(normal * normal, axis=-1)
+    along1 = np.sum(np.cross(between, d2) * normal, axis=-1) / sine2
+    along2 = np.sum(np.cross(between, d1) * normal, axis=-1) / sine2
+    foot1 = origins[..., first, :] + along1[..., None] * d1
+    foot2 = origins[..., second, :] + along2[..., None] * d2
+    return np.asarray(((foot1 + foot2) / 2).mean(axis=-2))
 
 
 def _rays(rig: Rig, pixels: Floats) -> tuple[Rays, Floats]:
@@ -115,7 +135,7 @@ def _differences(rays: Rays, origins: Floats, directions: Floats, pairs: Ints) -
         rays: n of them.
         origins: (n, 2 m, 3) of the replacements of each ray, in pairs: the second is subtracted.
         directions: (n, 2 m, 3) of the same.
-        pairs: (p, 2) as in `midpoints`.
+        pairs: (p, 2) as in `mean_midpoint`.
     """
     count, replacements = directions.shape[:2]
     all_origins = np.tile(rays.origins, (count, replacements, 1, 1))
@@ -123,7 +143,7 @@ def _differences(rays: Rays, origins: Floats, directions: Floats, pairs: Ints) -
     rows = np.arange(count)
     all_origins[rows, :, rows] = origins
     all_directions[rows, :, rows] = directions
-    means = midpoints(all_origins, all_directions, pairs).mean
+    means = mean_midpoint(all_origins, all_directions, pairs)
     return np.swapaxes(means[:, 0::2] - means[:, 1::2], 1, 2)
 
 

@@ -15,8 +15,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.geometry import Rays, midpoints, usable_pairs
+from measure.geometry import Rays, usable_pairs
 from measure.model import Ball, BallPosition, Body, Camera, Detection, Pose, Rig
+from measure_paper.midpoint import mean_midpoint
 
 _MIN_ANGLE_RAD = np.radians(5.0)
 
@@ -63,7 +64,7 @@ def locate(seen: Sequence[RayObservation]) -> Floats | None:
         pairs = usable_pairs(rays, _MIN_ANGLE_RAD)
     except DegenerateGeometryError:
         return None
-    return midpoints(rays.origins, rays.directions, pairs).mean
+    return mean_midpoint(rays.origins, rays.directions, pairs)
 
 
 def apparent_radius_px(camera: Camera, point: Floats, radius_mm: float) -> float:
