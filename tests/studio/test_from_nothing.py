@@ -78,10 +78,10 @@ def at_rest(picture, rng):
 
 
 def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
-    desk, balls = tmp_path / "desk", ball_pictures()
+    home, balls = tmp_path / "desk", ball_pictures()
     boards = CHARUCO.pictures(rng, waved.rig())
     served = {n: ServedCamera(some, PERIOD_S, stamps=True) for n, some in boards.items()}
-    with serving(served) as addresses, desk.studio(desk) as address, Chromium(1440, 900) as page:
+    with serving(served) as addresses, desk.studio(home) as address, Chromium(1440, 900) as page:
         waits = Waits()
         desk.go(page, address)
         page.wait_for(desk.ONE_PRIMARY, 20)
@@ -89,13 +89,13 @@ def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
         desk.go_on(page, "Calibration")
         wave_the_board(page, waits)
         serve(served, {n: at_rest(some[0], rng) for n, some in boards.items()})
-        check_pair(desk, 1.5, 0.3)
+        check_pair(home, 1.5, 0.3)
         desk.go_on(page, "World")
         put_the_world_at_the_board(page, waits)
         serve(served, balls)
         desk.go_on(page, "Body")
         make_the_body(page, waits)
-        check_body(desk)
+        check_body(home)
         serve(served, {n: at_rest(some[0], rng) for n, some in balls.items()}, AT_REST_S)
         desk.go_on(page, "Measure")
         measure(page, waits)
@@ -104,7 +104,7 @@ def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
         assert page.errors == []
         assert [r for r in page.requests if not r.startswith((address, "blob:", "data:"))] == []
         check_served_files(address)
-    check_run(desk, addresses)
+    check_run(home, addresses)
 
 
 class Waits(dict[str, float]):
@@ -210,9 +210,9 @@ def check_steps(page, waits):
     assert {title: [int(clicks), int(typed)] for title, clicks, typed in rows} == made
 
 
-def check_pair(desk, mm, deg):
+def check_pair(home, mm, deg):
     """The second camera is where it is from the first."""
-    true, found = cameras(), read_calibration(desk / "calibration.toml").cameras
+    true, found = cameras(), read_calibration(home / "calibration.toml").cameras
     for one, there in zip(found, true, strict=True):
         assert one.intrinsics.focal_px == pytest.approx(there.intrinsics.focal_px, rel=0.01)
     ways = [a.world_from_camera.inverse() @ b.world_from_camera for a, b in (found, true)]
@@ -220,8 +220,8 @@ def check_pair(desk, mm, deg):
     assert np.degrees(np.linalg.norm((ways[0] @ ways[1].inverse()).rotvec)) < deg
 
 
-def check_body(desk):
-    found, true = read_body(desk / "body-1.toml"), webcam_scene().body
+def check_body(home):
+    found, true = read_body(home / "body-1.toml"), webcam_scene().body
     for pair, length in true.distances().items():
         sides = found.distances()
         assert sides.get(pair, sides.get(pair[::-1])) == pytest.approx(length, abs=0.4)
@@ -235,18 +235,18 @@ def check_served_files(address):
             urllib.request.urlopen(f"{address}file/{elsewhere}")
 
 
-def check_run(desk, addresses):
+def check_run(home, addresses):
     """The balls rest where they are in the board's frame, whose z points out of the paper."""
-    assert (desk / "cameras.txt").read_text() == "".join(f"{n}={a}\n" for n, a in addresses.items())
-    run = read_run(desk / "run-1")
+    assert (home / "cameras.txt").read_text() == "".join(f"{n}={a}\n" for n, a in addresses.items())
+    run = read_run(home / "run-1")
     assert run.finished
-    assert run.session.parent.parent == desk
-    with (desk / "run-1" / "events.csv").open() as file:
+    assert run.session.parent.parent == home
+    with (home / "run-1" / "events.csv").open() as file:
         (event,) = csv.DictReader(file)
     assert run.times_s[0] < float(event["time_s"]) < run.times_s[-1] + 1
     poses = run.world_from_body[run.unflagged[run.has_pose]]
     assert len(poses.translation) >= 2
-    scene, body = webcam_scene(), read_body(desk / "body-1.toml")
+    scene, body = webcam_scene(), read_body(home / "body-1.toml")
     up = RigidTransform(np.diag([1.0, -1, -1]), np.zeros(3))
     world = RigidTransform(np.eye(3), WORKSPACE_MM) @ CHARUCO.poses()[0] @ up
     resting = scene.trajectory.at(np.zeros(1))
