@@ -19,7 +19,7 @@ import pytest
 from cyclopts import App
 
 from measure.cli import build_app, console, main
-from measure.errors import SessionError
+from measure.errors import PluginError, SessionError
 from measure.neighbours import commands, load_command
 from measure_studio.cli.live import _StateLines
 from tests.measurements import measurement
@@ -180,6 +180,16 @@ def test_the_folder_of_an_output_is_made(tmp_path):
     sheet = tmp_path / "none/sheet.pdf"
     assert main(["target", str(target), "--out", str(sheet)]) == 0
     assert sheet.stat().st_size
+
+
+def test_a_profile_whose_package_is_missing_is_left_out_of_what_is_prepared(monkeypatch, capsys):
+    def demo(folder, profile, *_):
+        if profile.name == "paper":
+            raise PluginError("no detector is called 'hough'")
+
+    monkeypatch.setattr("measure.api.demo", demo)
+    assert main(["prepare"]) == 0
+    assert "left out profile paper: no detector is called 'hough'" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", [importlib.import_module("measure.errors").__file__, None])

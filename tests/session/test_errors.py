@@ -106,8 +106,7 @@ CASES: dict[str, Case] = {
     ),
     "pictures numbered by nanoseconds": (
         lambda r: [
-            (r.path / f"cam1/00000{k}.jpg").rename(r.path / f"cam1/{2**63 - 3 + k}.jpg")
-            for k in range(6)
+            f.rename(f.with_stem(f"{2**63 - 3 + int(f.stem)}")) for f in r.path.glob("cam1/*.jpg")
         ],
         "(9223372036854775805, 9223372036854775806, ",
         "are not the frame numbers of",
@@ -186,9 +185,7 @@ CASES: dict[str, Case] = {
         "truth.csv: no such file",
     ),
     "body twice": (
-        lambda r: (r.path / "session.toml").write_text(
-            (r.path / "session.toml").read_text() + "\n[body]\nballs = []\n"
-        ),
+        replace("session.toml", "[[cameras]]", "[body]\nballs = []\n[[cameras]]"),
         "give the body once",
     ),
     "no body": (
@@ -196,10 +193,8 @@ CASES: dict[str, Case] = {
         "session.toml: the session names no body; add body = ",
     ),
     "unknown key at the top": (
-        lambda r: (r.path / "session.toml").write_text(
-            (r.path / "session.toml").read_text() + "\n[robott]\nlog = 'x'\n"
-        ),
-        "session.toml:21: unknown key 'robott'; did you mean robot?",
+        replace("session.toml", "[[cameras]]", "[robott]\nlog = 'x'\n[[cameras]]"),
+        "session.toml:6: unknown key 'robott'; did you mean robot?",
     ),
 }
 

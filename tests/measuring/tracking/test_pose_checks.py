@@ -29,8 +29,7 @@ def path(time_s):
 
 
 def edges(ball, camera, _):
-    rng = np.random.default_rng([ord(ball[0]), int(camera[-1])])
-    return rng.normal(0, EDGES_PX, 2)
+    return np.random.default_rng([ord(ball[0]), int(camera[-1])]).normal(0, EDGES_PX, 2)
 
 
 def measured(body, cameras, assumed_body=None, assumed=None, count=20, bias=edges):
@@ -38,14 +37,10 @@ def measured(body, cameras, assumed_body=None, assumed=None, count=20, bias=edge
     return run(assumed_body or body, world, cameras, count, assumed=assumed, bias=bias)[0]
 
 
-def flags(found):
-    return {flag for m in found if m.pose is not None for flag in m.pose.flags}
-
-
 def turned(cameras, name, degrees):
     pose = cameras[name].world_from_camera
-    rotvec = pose.rotate(np.array([0, np.radians(degrees), 0]))
-    return {**cameras, name: moved(cameras[name], pose.perturb([0, 0, 0, *rotvec]))}
+    turn = [0, 0, 0, *pose.rotate(np.array([0, np.radians(degrees), 0]))]
+    return {**cameras, name: moved(cameras[name], pose.perturb(turn))}
 
 
 def displaced(body, ball, offset_mm):
@@ -74,11 +69,8 @@ def test_an_offset_within_the_calibration_sd_is_not_flagged():
     """By 1.7 px: .06 degrees and .5 mm."""
     cameras = ring(4, pose_covariance=np.diag([0.3**2] * 3 + [0.0006**2] * 3))
     off = turned(cameras, "cam1", 0.06)
-    shift = np.array([0.3, -0.3, 0.3])
-    off = {
-        **off,
-        "cam2": moved(off["cam2"], off["cam2"].world_from_camera.perturb([*shift, 0, 0, 0])),
-    }
+    aside = off["cam2"].world_from_camera.perturb([0.3, -0.3, 0.3, 0, 0, 0])
+    off["cam2"] = moved(off["cam2"], aside)
     found = measured(RAVEN, off, assumed=cameras)
     assert [m.status for m in found] == [Status.OK] * len(found)
     assert all(v.state is State.EFFECTIVE for m in found for v in m.views)
@@ -117,7 +109,8 @@ def test_a_ball_that_two_cameras_see_elsewhere_is_named():
     found = measured(RAVEN, ring(4), bias=offset)
     assert all(m.status is Status.OK for m in found[:9])
     assert all(m.status is Status.FLAGGED for m in found[11:])
-    assert any("ball red is seen elsewhere by cam1, cam2" in flag for flag in flags(found))
+    flags = [flag for m in found if m.pose is not None for flag in m.pose.flags]
+    assert any("ball red is seen elsewhere by cam1, cam2" in flag for flag in flags)
 
 
 def test_a_single_wrong_detection_raises_no_flag():
