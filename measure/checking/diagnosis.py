@@ -52,6 +52,11 @@ class Diagnosis:
         return any(cause.level is Level.WRONG for cause in self.causes[:1])
 
     @property
+    def share(self) -> float:
+        """What the likeliest cause explains of all."""
+        return self.causes[0].explains if self.causes else 0.0
+
+    @property
     def unexplained(self) -> bool:
         """Whether more is left than any healthy recording leaves."""
         return self.left > _UNEXPLAINED[SEARCHED_PX]
@@ -95,9 +100,9 @@ def diagnose_recording(
             tracked = diagnose(alone, squares)
             if tracked.misfit < _WELL_EXPLAINED:
                 return tracked
-    # What is followed lies near where it was expected: whole pictures tell more.
+    # What is followed lies near where it was expected: whole pictures tell more, if they agree.
     whole = diagnose(evidence_of(*searched, (), body, cameras, gaps_s), squares)
-    if whole.wrong or (whole.causes and not followed.wrong):
+    if whole.causes and (not followed.wrong or (whole.wrong and whole.share >= followed.share)):
         return whole
     # What no camera alone contradicts, and all do not in whole pictures, is not unknown.
     known = tuple(c for c in followed.causes if (c.cause, c.of) != (Word.UNKNOWN, ALL))

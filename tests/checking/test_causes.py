@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.checking import Level, search_sample, with_velocities
-from measure.checking.causes import ALL, Word
-from measure.checking.diagnosis import diagnose
+from measure.checking import Level, diagnosis, search_sample, with_velocities
+from measure.checking.causes import ALL, Cause, Word
+from measure.checking.diagnosis import Diagnosis, diagnose
 from measure.checking.search import loose_sample
 from measure.checking.sightings import evidence_of
 from measure.geometry import RigidTransform
@@ -202,3 +202,16 @@ def test_what_nothing_explains_is_unknown():
     cause = first(found)
     assert (cause.cause, cause.of) == (Word.UNKNOWN, "cam1")
     assert found.unexplained
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.6, True), (1.0, False)])
+def test_whole_pictures_overrule_what_was_followed_if_they_explain_as_much(
+    monkeypatch, share, kept
+):
+    words = ((Word.CLOCK_STEP, 1.0), (Word.MOVED_AT, share))
+    causes = [Cause(word, "cam2", "", "", Level.WRONG, explains=of_all) for word, of_all in words]
+    answers = iter([Diagnosis((cause,), 4.0, 0.5) for cause in causes])
+    monkeypatch.setattr(diagnosis, "evidence_of", lambda *_: None)
+    monkeypatch.setattr(diagnosis, "diagnose", lambda *_: next(answers))
+    found = diagnosis.diagnose_recording(((), ()), [None], RAVEN, [], {}, squares=False)
+    assert found.causes == (causes[not kept],)

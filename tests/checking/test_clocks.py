@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from measure.checking.clocks import estimate_clocks
+from measure.checking.explaining import fitted
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
+from measure.geometry.normal_equations import symmetric_inverse
 from measure.measuring import Measurement, Status
 from measure.model import BallView, Pose
 from measure.model.observations import State
@@ -117,3 +119,15 @@ def test_a_constant_bias_is_within_the_clock_uncertainty():
     pairs = list(zip(estimated, exact, strict=True))
     assert all(a.offset_sd_s > b.offset_sd_s for a, b in pairs)
     assert all(abs(a.offset_s) < 3 * a.offset_sd_s for a in estimated)
+
+
+def test_clocks_that_diverge_are_unknown(monkeypatch) -> None:
+    far = lambda *given: replace(found := fitted(*given), values=1e3 + found.values)
+    monkeypatch.setattr("measure.checking.clocks.fitted", far)
+    found = estimate_clocks(recorded(moving, OFFSETS, count=20), RAVEN, [*CAMERAS.values()])
+    assert all(clock.offset_s == 0 and np.isinf(clock.offset_sd_s) for clock in found)
+
+
+def test_what_a_matrix_does_not_determine_stays_put() -> None:
+    inverse = symmetric_inverse(np.diag([4.0, 0.0, 1e-20]))
+    assert np.allclose(np.diag(inverse), [0.25, 0.0, 1e20])
