@@ -5,6 +5,7 @@ known places show is measured, checked and calibrated with them, right and with 
 what changes: a word, or an error or a variance by more than a hundredth.
 """
 
+# mypy: disable-error-code=no-untyped-call
 from __future__ import annotations
 
 import ast
@@ -23,14 +24,12 @@ from measure.calibration import refine_rig
 from measure.calibration.extrinsics import fit_rig_with_boards
 from measure.geometry import RigidTransform
 from measure.model import Body
-
-# What tests measure; they bear no types.
-cases = importlib.import_module("tests.calibration.refining.cases")
-rig = importlib.import_module("tests.calibration.rigs").rig
-faults = importlib.import_module("tests.checking.test_causes")
-tracked = importlib.import_module("tests.measuring.tracking.test_consistency")
-run = importlib.import_module("tests.tracking_rig").run
-RAVEN, TARGET, ring = tracked.RAVEN, tracked.TARGET, tracked.ring
+from tests.calibration.refining import cases
+from tests.calibration.rigs import rig
+from tests.checking import test_causes as faults
+from tests.measuring.tracking import test_pose_checks as tracked
+from tests.scenes import RAVEN, TARGET, ring
+from tests.tracking_rig import run
 
 Outcome = list[str | float]
 
