@@ -125,14 +125,17 @@ def _fitted_by(
     """By a package's fit; PluginError: it fails, or answers nonsense."""
     try:
         fit = camera_fit(method)(start, observed, mark_sd_px)
-        answered = [camera.name for camera in fit.cameras], bool(np.isfinite(fit.covariance).all())
+        given = [camera.name for camera in fit.cameras]
+        known = bool(np.isfinite(fit.covariance).all())
     except MeasureError:
         raise
     except Exception as problem:
         reason = " ".join(f"{type(problem).__name__}: {problem}".split())
         raise PluginError(f"the camera fit '{method}' fails: {reason}") from problem
-    if answered != ([camera.name for camera in start], True):
-        raise PluginError(f"the camera fit '{method}' answers nonsense: {answered}")
+    asked = [camera.name for camera in start]
+    if given != asked or not known:
+        what = "a covariance that is not finite" if given == asked else f"the cameras {given}"
+        raise PluginError(f"the camera fit '{method}' answers nonsense: {what}, asked for {asked}")
     return fit
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from measure.cli import console
 from measure.errors import ConfigError, RunError
-from measure.neighbours import VIEWS, offer
+from measure.neighbours import VIEWS, lacking, offer
 
 
 def view(
@@ -42,6 +42,8 @@ def view(
     recordings = [recording_of(run)]
     if robot is not None:
         write = offer(VIEWS, "robot", "`--robot`")
+        if write is None:
+            raise lacking("`--robot`", "measure_learning")
         recordings.append(write(run, robot, robot_log, model, frame, clock_offset_s))
     viewer = open_viewer(recordings, web, bind)
     if viewer.address is not None:

@@ -47,10 +47,7 @@ class ResidualTable:
     @property
     def stated_rms_px(self) -> float:
         """RMS over both axes of what `effective` may be off by, stated and by calibration."""
-        noise = calibration_noise(Rig.of(self.cameras), self._middle)
-        traces = np.trace(noise, axis1=1, axis2=2).tolist()
-        by_camera = dict(zip([camera.name for camera in self.cameras], traces, strict=True))
-        seen = [2 * d.variance_px2 + by_camera[d.camera] for d in self.effective]
+        seen = [2 * d.variance_px2 + np.trace(self._noise[d.camera]) for d in self.effective]
         return float(np.sqrt(sum(seen) / max(len(seen), 1)))
 
     def elsewhere(self, by: By, reasons: Collection[Reason]) -> dict[str, list[BallView]]:
@@ -123,6 +120,12 @@ class ResidualTable:
     def _middle(self) -> Floats:
         return self.pose.world_from_body.apply(self.body.middle)
 
+    @cached_property
+    def _noise(self) -> Mapping[str, Floats]:
+        """What uncertain cameras add to a sighting (2, 2), px^2, by name of the camera."""
+        rig = Rig.of(self.cameras)
+        return dict(zip(rig.names, calibration_noise(rig, self._middle), strict=True))
+
     def _explained(self, gains: Floats, motion: Motion | None) -> Floats:
         """Covariance of an offset by the uncertainty of calibration, body file and motion.
 
@@ -134,9 +137,8 @@ class ResidualTable:
         seen, slopes = self._rows[0], self._slopes
         names = np.array([d.camera for d in seen])
         out = propagate(np.einsum("nki,nij->kj", gains, slopes), self.body.center_covariance)
-        noise = calibration_noise(Rig.of(self.cameras), self._middle)
-        for camera, own in zip(self.cameras, noise, strict=True):
-            out = out + propagate(gains[names == camera.name].sum(axis=0), own)
+        for camera, own in self._noise.items():
+            out = out + propagate(gains[names == camera].sum(axis=0), own)
         if motion is None or motion.velocity_covariance is None:
             return out
         arm = self._middle - self.pose.world_from_body.translation
