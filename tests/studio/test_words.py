@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import threading
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -11,8 +13,11 @@ from measure.api import Registry, board_length, write_measured_board
 from measure.errors import ConfigError
 from measure_studio.api import CaptureRequest
 from measure_studio.page.bench import Bench, Job
+from measure_studio.page.measure_page import pose_shown
 from measure_studio.page.words import plain
+from tests.measurements import measurement
 
+ROOT = Path(__file__).parents[2]
 FOLDER = Path("/home/somebody/my rig")
 
 
@@ -22,6 +27,7 @@ FOLDER = Path("/home/somebody/my rig")
         ("--sample green=562,399: no ball-like patch", "no ball-like patch"),
         ("no truth.csv is there; give one with --truth", "no truth.csv is there"),
         ("nothing believed; to find out why: measure check", "nothing believed"),
+        ("cam0 sees none of them: `measure check` tells why", "cam0 sees none of them"),
         (f"{FOLDER}/run-1/run.toml: cut off", "run-1/run.toml: cut off"),
         (f"{FOLDER} is full", "my rig is full"),
         ("cam0: 3 pictures - 2 too many; wave on", "cam0: 3 pictures - 2 too many; wave on"),
@@ -99,3 +105,52 @@ def test_a_board_is_as_large_as_it_was_measured(tmp_path):
         assert board_length(measured) == (squares, pytest.approx(1.005 * square_mm))
         with pytest.raises(ConfigError, match="no printer is off by"):
             write_measured_board(name, 1.5 * square_mm, measured)
+
+
+def doubts():
+    """Every sentence in the rooms that raise flags of a pose, with a name where one is put in."""
+    for room in ("measure/measuring", "plugins/measure_plugins/pose_solvers"):
+        for file in sorted((ROOT / room).rglob("*.py")):
+            tree = ast.parse(file.read_text("utf-8"))
+            apart = {
+                id(one.value)
+                for one in ast.walk(tree)
+                if isinstance(one, ast.Expr | ast.FormattedValue)
+            }
+            for node in ast.walk(tree):
+                if isinstance(node, ast.JoinedStr):
+                    apart |= {id(part) for part in node.values}
+                    text = "".join(
+                        getattr(part, "value", "") if isinstance(part, ast.Constant) else "cam0"
+                        for part in node.values
+                    )
+                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    text = node.value
+                else:
+                    continue
+                if id(node) not in apart and len(text.split()) > 3:
+                    yield text
+
+
+def test_every_doubt_stands_below_the_state():
+    """Alone, and beside others; a pose that is believed has none."""
+    every = list(dict.fromkeys(doubts()))
+    assert any("contradict the others" in text for text in every)
+    assert any("the fit did not settle" in text for text in every)
+    for text in every:
+        for beside in ([], every[:1]):
+            doubtful = measurement(1)
+            for flag in (*beside, text):
+                doubtful = doubtful.flagged(flag)
+            shown = unescape(pose_shown("tool", doubtful, ""))
+            assert 'data-state="DOUBTFUL"' in shown
+            first, *others = text.split("; ")
+            for sentence in (first, *others):
+                assert f"<li>{plain(sentence)}</li>" in shown
+                assert len(plain(sentence).split()) > 1
+    lost = pose_shown("tool", measurement(1, lost=True), "")
+    assert 'data-state="LOST"' in lost
+    assert f"<li>{measurement(1, lost=True).reason}</li>" in lost
+    good = pose_shown("tool", measurement(1), "")
+    assert 'data-state="OK"' in good
+    assert "<li>" not in good

@@ -242,7 +242,7 @@ def _figures(live: _Live) -> None:
         poses.set_visibility(live.state is not None)
         if live.state is not None:
             shown = zip(live.rests, live.state.latest, strict=True)
-            poses.set_content("".join(_pose(name, one, live.age()) for name, one in shown))
+            poses.set_content("".join(pose_shown(name, one, live.age()) for name, one in shown))
         put(poses, "old", bool(live.age()))
 
     ui.timer(0.3, show)
@@ -261,13 +261,17 @@ def _figures(live: _Live) -> None:
     ui.timer(2.0, settle)
 
 
-def _pose(name: str, measured: api.Measurement, age: str) -> str:
-    """A body's state and pose as HTML: a pose that is not believed is grey, its ± struck out."""
+def pose_shown(name: str, measured: api.Measurement, age: str) -> str:
+    """A body's state and pose as HTML, and below it what speaks against the pose, a line each.
+
+    A pose that is not believed is grey, its ± struck out.
+    """
     word, kind = _WORDS.get(measured.status.value, ("LOST", "wrong"))
     if age:
         word, age = "OLD", f"was {word}; {age}"
-    reason = escape(plain(measured.reason))
-    figures = f'<div class="lines">{reason}</div>' if reason else ""
+    doubts = [plain(doubt) for doubt in measured.doubts.split("; ") if doubt]
+    listed = "".join(f"<li>{escape(doubt)}</li>" for doubt in doubts)
+    figures = f'<ul class="doubts">{listed}</ul>' if listed else ""
     if (pose := measured.pose) is not None:
         x, y, z = pose.world_from_body.translation
         a, b, c = np.degrees(pose.world_from_body.rotvec)

@@ -15,8 +15,9 @@ _GIVEN = re.compile(r"^--[a-z][\w-]*(?:[ =]\S*)?: ")
 def plain(text: str, folder: Path | None = None) -> str:
     """A message for a page.
 
-    Files of the folder go by their names in it, times are those of a clock, and a clause (up to a
-    semicolon) that names an option or a command is left out if another one remains.
+    Files of the folder go by their names in it, times are those of a clock. A clause (up to a
+    semicolon) that names an option or a command is left out if another one remains; else only what
+    follows its last colon, if it stands there.
     """
     if folder is not None:
         text = text.replace(f"{folder}/", "").replace(str(folder), folder.name)
@@ -24,7 +25,13 @@ def plain(text: str, folder: Path | None = None) -> str:
     text = _UNIX_S.sub(_clock, text)
     clauses = text.split("; ")
     left = [clause for clause in clauses if not _OPTION.search(clause)]
-    return "; ".join(left or clauses)
+    return "; ".join(left or map(_without_command, clauses))
+
+
+def _without_command(clause: str) -> str:
+    """A clause without what follows its last colon, if that names an option or a command."""
+    what, _, cure = clause.rpartition(": ")
+    return what if what and _OPTION.search(cure) and not _OPTION.search(what) else clause
 
 
 def _clock(found: re.Match[str]) -> str:
