@@ -46,6 +46,8 @@ def answer(token="", kind="http", query="", **headers):
         ({"origin": f"http://{HERE}"}, True),
         ({"host": "evil.example:8080"}, False),  # a name that was led to 127.0.0.1
         ({"host": ""}, False),
+        ({"host": "evil@127.0.0.1:8080"}, False),
+        ({"host": "127.0.0.1:8080@evil.example"}, False),
         ({"host": "[::1"}, False),
         ({"origin": "http://[bad"}, False),
         ({"origin": "http://evil.example"}, False),
@@ -82,7 +84,13 @@ def test_elsewhere_nobody_comes_in_without_the_token(query, headers):
         assert first.get(refusal) in (403, 1008)
 
 
-def test_pages_may_ask_their_own_server_alone():
+@pytest.mark.parametrize("host", ["", ":8080", "who@10.0.0.7:8080"])
+def test_a_token_opens_for_no_odd_host(host):
+    (first, *_) = answer("secret", host=host, cookie="studio=secret")
+    assert first["status"] == 403
+
+
+def test_pages_may_ask_their_own_server_alone_and_stand_in_no_foreign_frame():
     async def page(scope, receive, send):
         await send({"type": "http.response.start", "status": 200, "headers": []})
 
@@ -98,6 +106,16 @@ def test_pages_may_ask_their_own_server_alone():
     assert rules["default-src"].startswith("'self'")
     assert not [word for rule in rules.values() for word in rule.split() if "//" in word][1:]
     assert rules["connect-src"].endswith("http://127.0.0.1:*")
+    assert rules["frame-ancestors"] == "'self'"
+
+
+def test_every_answer_is_for_pages_of_this_server_alone():
+    refused, *_ = answer(host="evil.example")
+    led, *_ = answer("secret", query="token=secret", host="10.0.0.7:8080")
+    for one in (refused, led):
+        headers = {name.decode(): value.decode() for name, value in one["headers"]}
+        assert headers["cross-origin-resource-policy"] == "same-origin"
+        assert "frame-ancestors 'self'" in headers["content-security-policy"]
 
 
 def test_the_token_becomes_a_cookie_and_leaves_the_address():

@@ -62,6 +62,8 @@ def test_pages_of_the_folder_go_out_in_a_box(tmp_path, name, boxed):
         policy = answer.headers["Content-Security-Policy"]
         assert ("sandbox" in policy) == boxed
         assert "allow-same-origin" not in policy
+        assert "frame-ancestors 'self'" in policy
+        assert answer.headers["Cross-Origin-Resource-Policy"] == "same-origin"
         assert answer.headers["X-Content-Type-Options"] == "nosniff"
 
 

@@ -17,13 +17,14 @@ _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _COOKIE = "studio"
 _OWN = (
     "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
-    "connect-src 'self' data: blob: http://127.0.0.1:*"
+    "connect-src 'self' data: blob: http://127.0.0.1:*; frame-ancestors 'self'"
 )
-"""Content-Security-Policy: a page asks this server, and no other but a viewer on this machine."""
+"""Content-Security-Policy: a page asks this server, and no other but a viewer on this machine; and
+no page of another site shows it in a frame, where clicks would be stolen."""
 
 OF_A_FILE = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; "
-    "style-src 'unsafe-inline'; img-src data: blob:"
+    "style-src 'unsafe-inline'; img-src data: blob:; frame-ancestors 'self'"
 )
 """Of pages that lie in the folder, which strangers may have written: they draw their figures, but
 not as pages of this server (their origin is none), and ask nobody for anything."""
@@ -48,6 +49,16 @@ class Door:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
+
+        async def answer(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers.setdefault("Content-Security-Policy", _OWN)
+                headers.setdefault("X-Content-Type-Options", "nosniff")
+                # No page of another site shows a picture or a file of this server.
+                headers["Cross-Origin-Resource-Policy"] = "same-origin"
+            await send(message)
+
         asked = HTTPConnection(scope)
         given = asked.query_params.get("token", "")
         held = given, asked.cookies.get(_COOKIE, "")
@@ -57,22 +68,14 @@ class Door:
                 await send({"type": "websocket.close", "code": 1008})
                 return
             text = "not let in: open the address that `measure studio` printed"
-            await PlainTextResponse(text, 403)(scope, receive, send)
+            await PlainTextResponse(text, 403)(scope, receive, answer)
         elif given and scope["type"] == "http":
             # The token leaves the address, so that it is in no history and no screenshot.
             # Two slashes at the begin would name another server.
             there = RedirectResponse("/" + scope["path"].lstrip("/\\"), 303)
             there.set_cookie(_COOKIE, given, httponly=True, samesite="strict")
-            await there(scope, receive, send)
+            await there(scope, receive, answer)
         else:
-
-            async def answer(message: Message) -> None:
-                if message["type"] == "http.response.start":
-                    headers = MutableHeaders(scope=message)
-                    headers.setdefault("Content-Security-Policy", _OWN)
-                    headers.setdefault("X-Content-Type-Options", "nosniff")
-                await send(message)
-
             await self._app(scope, receive, answer)
 
     def _is_foreign(self, headers: Headers) -> bool:
@@ -80,6 +83,8 @@ class Door:
         try:
             named, from_there = urlsplit(f"//{host}").hostname, urlsplit(origin or "").netloc
         except ValueError:  # no addresses at all
+            return True
+        if named is None or "@" in host:  # no browser sends such a host
             return True
         if origin is not None and from_there != host:
             return True
