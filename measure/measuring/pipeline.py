@@ -114,11 +114,8 @@ class Pipeline:
         pose, duplicates = draft.measurement.pose, self._duplicates
         shared = duplicates.judge(new.shared, () if pose is None else pose.cameras)
         draft = replace(draft, measurement=draft.measurement.with_copies(duplicates.copies))
-        if self._woven.due(draft.measurement.index):
-            # One ball at a time: that takes a millisecond in each camera.
-            ball = self.body.names[draft.measurement.index % len(self.body.balls)]
-            seen = (v for v in draft.measurement.views if v.effective and v.ball == ball)
-            self._woven.add(new.frame_set, (v.detection for v in seen if v.detection))
+        seen = (v.detection for v in draft.measurement.views if v.effective and v.detection)
+        self._woven.add(new.frame_set, seen, look=self._woven.due(draft.measurement.index))
         for flag in filter(None, (new.flag, shared, self._woven.flag)):
             draft = draft.flagged(flag)
         return draft
