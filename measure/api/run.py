@@ -72,7 +72,8 @@ def run(
 
     Args:
         session_path: the session's folder, which is only read.
-        on_note: called with a line that says where a run is resumed, or what of it is mended.
+        on_note: called, from any thread, with a line that says where a run is resumed, what of it
+            is mended, or that the viewer does not keep up.
 
     Raises:
         MeasureError: whatever is wrong with the session, calibration, plugins or settings; what was
@@ -91,7 +92,7 @@ def run(
         options = _recording_due(replace(options, frame_sets=total), out, kept, on_note)
         kept_runs = writer.kept_runs if kept and options.wanted else ()
         writer.begin()
-        log = stack.enter_context(_log(session, out, options, kept))
+        log = stack.enter_context(_log(session, out, options, kept, on_note))
         for again in _measured_before(kept_runs, kept):
             log.add(again)
         for frame_set, measurements in chain(first, measured):
@@ -227,7 +228,9 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
     return profile.model_dump(exclude={"settings"}) | {"settings": settings}
 
 
-def _log(session: Session, out: Path, options: RunOptions, kept: int) -> RunLog:
+def _log(
+    session: Session, out: Path, options: RunOptions, kept: int, note: Callable[[str], None]
+) -> RunLog:
     """The recording of a run of this session, its truth and its videos in it."""
     truths, videos = dict[str, Trajectory](), None
     if options.wanted:
@@ -235,7 +238,9 @@ def _log(session: Session, out: Path, options: RunOptions, kept: int) -> RunLog:
 
         truths = _truths(session)
         videos = passed_videos(session) if options.image_every else None
-    return RunLog(session.name, session.bodies, session.cameras, out, options, kept, truths, videos)
+    return RunLog(
+        session.name, session.bodies, session.cameras, out, options, kept, truths, videos, note
+    )
 
 
 def _recording_due(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -55,7 +55,8 @@ class RunLog:
     """The recording of a run in its folder, with the error against truth where there is one.
 
     That of an interrupted run is replaced by this one as soon as this one holds as many frame sets
-    as are `kept` of it. Nothing is logged unless `options.wanted`.
+    as are `kept` of it. Nothing is logged unless `options.wanted`. `note` takes lines about the
+    viewer, from any thread.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class RunLog:
         kept: int = 0,
         truths: Mapping[str, Trajectory] | None = None,
         videos: Mapping[str, PassedVideo] | None = None,
+        note: Callable[[str], None] = print,
     ) -> None:
         self._path = out / "run.rrd" if options.recording else None
         self._kept, self._problem = kept, ""
@@ -88,6 +90,7 @@ class RunLog:
             *(name, cameras, file, options.viewer, run_id),
             bodies=[body.name for body in bodies],
             truth=bool(truths),
+            note=note,
         )
         self._log = RunRecording(
             stream,
@@ -110,7 +113,7 @@ class RunLog:
         # complete without the recording.
         if self._problem and kind is None:
             raise RunError(
-                f"{self._path or 'the live recording'} could not be written whole "
+                f"{self._path} could not be written whole "
                 f"({self._problem}); the tables of the run are complete"
             )
 

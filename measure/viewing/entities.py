@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sized
+from collections.abc import Callable, Iterable, Sized
 from itertools import chain
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import rerun as rr
@@ -88,11 +88,27 @@ def line_color(index: int) -> tuple[int, int, int]:
     return _LINES[index % len(_LINES)]
 
 
+class Stream(Protocol):
+    """What takes a recording: one of Rerun's, or a `ViewerFeed`."""
+
+    def log(self, entity_path: str, entity: Any, /, *extra: Any, static: bool = False) -> None:
+        """Log what happens at the time that is set, or what holds always."""
+
+    def send_columns(
+        self, entity_path: str, /, indexes: Iterable[Any], columns: Iterable[Any]
+    ) -> None:
+        """Send the values of several instants."""
+
+    @property
+    def set_time(self) -> Callable[..., None]:
+        """Set the time of what is logged next."""
+
+
 class FrameSetBatch:
     """One batch on both timelines; `suffix` ends every entity, see `suffix`."""
 
     def __init__(
-        self, stream: rr.RecordingStream, frames: ArrayLike, times_s: ArrayLike, suffix: str = ""
+        self, stream: Stream, frames: ArrayLike, times_s: ArrayLike, suffix: str = ""
     ) -> None:
         self._stream, self.suffix = stream, suffix
         self._frames = np.asarray(frames, dtype=np.int64)
@@ -102,7 +118,9 @@ class FrameSetBatch:
     def send(self, entity: str, *columns: Iterable[Any], rows: Bools | None = None) -> None:
         """Send one entity's components, for all frame sets or for some rows (n,) of them."""
         index = self._index if rows is None else self._on_timelines(rows)
-        self._stream.send_columns(entity + self.suffix, indexes=index, columns=chain(*columns))
+        self._stream.send_columns(
+            entity + self.suffix, indexes=index, columns=list(chain(*columns))
+        )
 
     def scalars(self, entity: str, values: Floats, rows: Bools | None = None) -> None:
         """Send numbers, one a row; NaN leaves a gap in the plot."""
@@ -132,7 +150,7 @@ def points(rows: Iterable[Any], width: int) -> Floats:
     return np.concatenate(gathered, axis=None).reshape(-1, width)
 
 
-def set_time(stream: rr.RecordingStream, time_s: float) -> None:
+def set_time(stream: Stream, time_s: float) -> None:
     """The time of what is logged next: as a date where it is one, else as time since the start."""
     if time_s >= SINCE_1970_S:
         stream.set_time(TIMELINE_TIME, timestamp=time_s)

@@ -6,10 +6,10 @@ import socket
 import threading
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import av
@@ -22,10 +22,12 @@ from measure.errors import ConfigError
 from measure.limits import PATIENCE_S
 from measure.measuring import Measurement, Status
 from measure.model import Body, Camera, FrameSet, Image
-from measure.session import Session, Stream, Trajectory
+from measure.session import Session, Trajectory
+from measure.session import Stream as CameraStream
 from measure.viewing import entities, scene
 from measure.viewing.blueprint import framed, run_blueprint
-from measure.viewing.entities import FrameSetBatch, set_time
+from measure.viewing.entities import FrameSetBatch, Stream, set_time
+from measure.viewing.feed import ViewerFeed
 
 _CODECS = {"h264", "hevc", "av1", "vp9"}
 """What the viewer shows in an mp4. Of other videos the frames go in as pictures."""
@@ -47,7 +49,7 @@ def passed_videos(session: Session) -> Mapping[str, PassedVideo]:
     return {name: video for name, video in found.items() if video is not None}
 
 
-def _open(stream: Stream) -> PassedVideo | None:
+def _open(stream: CameraStream) -> PassedVideo | None:
     path = stream.files[0]
     if len(stream.files) != 1 or path.suffix.lower() not in (".mp4", ".m4v", ".mov"):
         return None
@@ -76,11 +78,62 @@ LIVE_PERIOD_S = 0.2  # Where somebody watches nothing is held back longer, be it
 _LEVELS = {Status.OK: "INFO", Status.FLAGGED: "WARN", Status.LOST: "ERROR", Status.SKIPPED: "WARN"}
 
 
+class OpenRecording:
+    """A recording that is written as it goes: to a file, to a viewer that runs, or to both.
+
+    Nobody waits for the viewer, and the file does not depend on it.
+    """
+
+    def __init__(self, file: rr.RecordingStream | None, viewer: ViewerFeed | None = None) -> None:
+        self._file, self._viewer = file, viewer
+        self._all: Sequence[Stream] = [one for one in (file, viewer) if one is not None]
+
+    def log(self, entity: str, /, *what: Any, static: bool = False) -> None:
+        """As `rerun.RecordingStream.log`."""
+        for one in self._all:
+            one.log(entity, *what, static=static)
+
+    def send_columns(self, entity: str, /, indexes: Iterable[Any], columns: Iterable[Any]) -> None:
+        """As `rerun.RecordingStream.send_columns`."""
+        for one in self._all:
+            one.send_columns(entity, indexes, columns)
+
+    def set_time(self, timeline: str, /, **when: Any) -> None:
+        """As `rerun.RecordingStream.set_time`."""
+        for one in self._all:
+            one.set_time(timeline, **when)
+
+    def flush(self) -> None:
+        """Write the file as far as it has come; RuntimeError: it cannot be written."""
+        if self._file is not None:
+            self._file.flush(timeout_sec=PATIENCE_S)
+
+    def close(self) -> None:
+        """Close the file, then send the viewer what waits for it; RuntimeError as `flush`."""
+        try:
+            self._close_file()
+        finally:
+            if self._viewer is not None:
+                self._viewer.close()
+
+    def _close_file(self) -> None:
+        if self._file is None:
+            return
+        try:
+            self.flush()
+        except RuntimeError:
+            # Where its writer has died, Rerun waits for it: when it closes, and when Python ends.
+            rr.unregister_shutdown()
+            threading.Thread(target=self._file.disconnect, daemon=True).start()
+            raise
+        self._file.disconnect()
+
+
 class RunRecording:
     """Takes measurements as they come; use it as a context manager.
 
     Args:
-        stream: an open recording (see `open_recording`).
+        stream: where they go (see `open_recording`).
         image_every: log the pictures of every n-th frame set; 0 logs none.
         videos: by camera name, recorded videos that go into the recording as they are.
         truths: the true world_from_body by body, where it is known.
@@ -89,7 +142,7 @@ class RunRecording:
 
     def __init__(
         self,
-        stream: rr.RecordingStream,
+        stream: OpenRecording,
         bodies: Sequence[Body],
         cameras: Sequence[Camera],
         image_every: int,
@@ -121,19 +174,13 @@ class RunRecording:
 
     def close(self) -> None:
         """Send what is held back and close the file; RuntimeError: it cannot be written."""
-        try:
-            self.flush()
-        except RuntimeError:
-            # Where its writer has died, Rerun waits for it: when it closes, and when Python ends.
-            rr.unregister_shutdown()
-            threading.Thread(target=self._stream.disconnect, daemon=True).start()
-            raise
-        self._stream.disconnect()
+        self._send()
+        self._stream.close()
 
     def flush(self) -> None:
         """Send what is held back; RuntimeError as `close`."""
         self._send()
-        self._stream.flush(timeout_sec=PATIENCE_S)
+        self._stream.flush()
 
     def add(self, measured: Sequence[Measurement], frame_set: FrameSet | None = None) -> None:
         """Log a measurement of each body, and the images of `frame_set`."""
@@ -197,23 +244,27 @@ class LivePictures:
 
     Args:
         address: of the viewer; ConfigError if none listens there.
+        note: see `ViewerFeed`.
     """
 
-    def __init__(self, cameras: Sequence[str], address: str) -> None:
+    def __init__(self, cameras: Sequence[str], address: str, note: Callable[[str], None]) -> None:
         check_listening(address)
-        self._stream = rr.RecordingStream("triball")
         views = (rrb.Spatial2DView(origin=entities.image(name), name=name) for name in cameras)
-        self._stream.set_sinks(
-            rr.GrpcSink(address), default_blueprint=framed(rrb.Grid(*views, name="Cameras"))
-        )
+        layout = framed(rrb.Grid(*views, name="Cameras"))
+        self._feed, self._lock = ViewerFeed(address, note, layout), threading.Lock()
         self._due_s = dict.fromkeys(cameras, 0.0)
 
     def add(self, image: Image) -> None:
         """Show a picture, if the camera's last one has been shown for long enough."""
         if image.time_s >= self._due_s[image.camera]:
             self._due_s[image.camera] = image.time_s + LIVE_PERIOD_S
-            set_time(self._stream, image.time_s)
-            self._stream.log(entities.image(image.camera), scene.picture_of(image))
+            with self._lock:  # pictures come from the cameras' threads
+                set_time(self._feed, image.time_s)
+                self._feed.log(entities.image(image.camera), scene.picture_of(image))
+
+    def close(self) -> None:
+        """Send what waits for the viewer."""
+        self._feed.close()
 
 
 CONNECT_WITHIN_S = 5.0  # How long a viewer that was just started may take to listen
@@ -227,21 +278,25 @@ def open_recording(
     part_of: str | None = None,
     bodies: Sequence[str] = ("",),
     truth: bool = False,
-) -> rr.RecordingStream:
+    note: Callable[[str], None] = print,
+) -> OpenRecording:
     """A recording that is written as it goes: to a file, to a viewer that runs, or to both.
 
     The cameras make the layout that travels inside; recordings that are `part_of` one name are
-    shown as one. `truth` says whether errors are shown, beside where the body is. ConfigError: no
-    viewer listens at the address (as `rerun+http://127.0.0.1:9876/proxy`).
+    shown as one. `truth` says whether errors are shown, beside where the body is. `note` takes
+    lines about the viewer, see `ViewerFeed`. ConfigError: no viewer listens at the address (as
+    `rerun+http://127.0.0.1:9876/proxy`).
     """
-    stream = rr.RecordingStream("triball", recording_id=part_of)
+    layout, file, viewer = run_blueprint(cameras, bodies, truth), None, None
     if address is not None:
         check_listening(address)
-    sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(path)] if path else []
-    sinks += [rr.GrpcSink(address)] if address else []
-    stream.set_sinks(*sinks, default_blueprint=run_blueprint(cameras, bodies, truth))
-    stream.send_recording_name(name)
-    return stream
+    if path is not None:
+        file = rr.RecordingStream("triball", recording_id=part_of)
+        file.set_sinks(rr.FileSink(path), default_blueprint=layout)
+        file.send_recording_name(name)
+    if address is not None:
+        viewer = ViewerFeed(address, note, layout, name, part_of)
+    return OpenRecording(file, viewer)
 
 
 def is_whole(path: Path) -> bool:

@@ -140,7 +140,7 @@ def _ellipsoids(covariances: Floats) -> tuple[Floats, Floats]:
     return half, Rotation.from_matrix(axes).as_quat()
 
 
-def log_rig(stream: rr.RecordingStream, bodies: Sequence[Body], cameras: Sequence[Camera]) -> None:
+def log_rig(stream: entities.Stream, bodies: Sequence[Body], cameras: Sequence[Camera]) -> None:
     """Log the cameras, the balls' shapes and the style of every trace, outside of time."""
     stream.log(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for camera in cameras:
@@ -166,16 +166,14 @@ def log_rig(stream: rr.RecordingStream, bodies: Sequence[Body], cameras: Sequenc
         log_lines(stream, lines)
 
 
-def log_lines(
-    stream: rr.RecordingStream, lines: dict[str, tuple[str, tuple[int, int, int]]]
-) -> None:
+def log_lines(stream: entities.Stream, lines: dict[str, tuple[str, tuple[int, int, int]]]) -> None:
     """Name and colour of the traces, by entity."""
     for entity, (name, color) in lines.items():
         style = rr.SeriesLines(colors=[color], names=[name], widths=[1.5])
         stream.log(entity, style, static=True)
 
 
-def _log_camera(stream: rr.RecordingStream, camera: Camera) -> None:
+def _log_camera(stream: entities.Stream, camera: Camera) -> None:
     pose, lens = camera.world_from_camera, camera.intrinsics
     stream.log(
         entities.camera(camera.name),
@@ -190,7 +188,7 @@ def _log_camera(stream: rr.RecordingStream, camera: Camera) -> None:
     )
 
 
-def _log_dots(stream: rr.RecordingStream, camera: Camera, end: str) -> None:
+def _log_dots(stream: entities.Stream, camera: Camera, end: str) -> None:
     """Size of the marks in a camera's picture."""
     dots = rr.Points2D.from_fields(radii=rr.Radius.ui_points(1.5))
     stream.log(entities.edges(camera.name) + end, dots, static=True)
@@ -198,7 +196,7 @@ def _log_dots(stream: rr.RecordingStream, camera: Camera, end: str) -> None:
     stream.log(entities.suspended(camera.name) + end, why, static=True)
 
 
-def _log_body(stream: rr.RecordingStream, body: Body, end: str) -> None:
+def _log_body(stream: entities.Stream, body: Body, end: str) -> None:
     for index, ball in enumerate(body.balls):
         color = entities.ball_color(ball.color.name, index)
         shape = rr.Ellipsoids3D.from_fields(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import subprocess
 import sys
@@ -53,9 +52,9 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
         command += ["--serve-web", "--web-viewer-port", str(web_port)]
         address = f"http://{bind}:{web_port}?url={listens.replace('+', '%2B')}"
     # In a session of its own it outlives the Ctrl-C that ends a measurement.
-    # Its log names other addresses than the one for browsers; RUST_LOG=info brings it back.
-    told = {"RUST_LOG": "warn", **os.environ}
-    process = subprocess.Popen(command, stdout=sys.stderr, start_new_session=True, env=told)
+    # Its log names other addresses than the one for browsers: RUST_LOG, which this package sets,
+    # leaves that out.
+    process = subprocess.Popen(command, stdout=sys.stderr, start_new_session=True)
     if web:
         _wait_until_served(process, bind, web_port)
     return Viewer(process, address, listens)

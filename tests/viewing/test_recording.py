@@ -23,9 +23,9 @@ from measure.geometry import RigidTransform
 from measure.model import Image
 from measure.model.observations import BallView, Reason, State
 from measure.session import Trajectory
-from measure.viewing import entities, recording, state_colors, viewer
+from measure.viewing import entities, feed, recording, state_colors, viewer
 from measure.viewing.blueprint import run_blueprint
-from measure.viewing.recording import RunRecording, open_recording
+from measure.viewing.recording import OpenRecording, RunRecording, open_recording
 from tests.viewing.reading import column, read_recording
 
 
@@ -54,12 +54,12 @@ def test_the_first_plot_shows_errors_only_where_there_is_a_truth(truth):
 
 def test_a_preview_shows_five_pictures_a_second_of_each_camera(tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "check_listening", lambda address: None)
-    monkeypatch.setattr(recording.rr, "GrpcSink", lambda _: rr.FileSink(tmp_path / "seen.rrd"))
-    preview = recording.LivePictures(["a", "b"], "nowhere")
+    monkeypatch.setattr(feed.rr, "GrpcSink", lambda _: rr.FileSink(tmp_path / "seen.rrd"))
+    preview = recording.LivePictures(["a", "b"], "nowhere", print)
     for frame in range(15):
         for name in ("a", "b"):
             preview.add(Image(name, frame, 1.7e9 + 0.07 * frame, lambda: None, bytes([frame])))
-    preview._stream.disconnect()
+    preview.close()
     for name in ("a", "b"):
         batches = read_recording(tmp_path / "seen.rrd")[entities.image(name)]
         shown = [blob for b in batches for blob in b["EncodedImage:blob"].to_pylist()]
@@ -248,7 +248,8 @@ def test_a_writer_that_died_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(recording.scene, "log_rig", lambda *_: None)
     monkeypatch.setattr(recording.rr, "unregister_shutdown", lambda: None)
-    log = RunRecording(Dead(), [BODY], CAMERAS, 0)  # type: ignore[arg-type]
+    dead = OpenRecording(Dead())  # type: ignore[arg-type]
+    log = RunRecording(dead, [BODY], CAMERAS, 0)
     begun_s = time.monotonic()
     with pytest.raises(RuntimeError, match="timed out"):
         log.close()

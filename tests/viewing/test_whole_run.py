@@ -175,14 +175,15 @@ def test_a_viewer_that_runs_already_is_sent_what_is_measured(session: Path, tmp_
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    heard = tmp_path / "heard.rrd"
+    heard, said = tmp_path / "heard.rrd", list[str]()
     command = [viewer_program(), "--save", heard, "--bind", "127.0.0.1", "--port", str(port)]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as receiver:
         try:
             options = api.RunOptions(
                 viewer=f"rerun+http://127.0.0.1:{port}/proxy", recording=False, image_every=6
             )
-            api.run(session, tmp_path / "run", api.load_profile(), Registry.discover(), options)
+            given = session, tmp_path / "run", api.load_profile(), Registry.discover()
+            api.run(*given, options, on_note=said.append)
             _wait_until_settled(heard)
         finally:
             _stop(receiver)
@@ -191,6 +192,7 @@ def test_a_viewer_that_runs_already_is_sent_what_is_measured(session: Path, tmp_
     assert sorted(error) == list(range(SETS))
     assert sorted(column(stored[entities.image("cam0")], "EncodedImage:blob")) == [0, 6]
     assert not (tmp_path / "run" / "run.rrd").exists()
+    assert said == []
 
 
 def _stop(receiver: subprocess.Popen[bytes]) -> None:

@@ -111,7 +111,9 @@ def live(
         sending = stack.enter_context(prepared.sending)
         writer = stack.enter_context(_writer(out, prepared, options))
         writer.begin()
-        log = stack.enter_context(RunLog(sent.name, sent.bodies, sent.cameras, out, options))
+        log = stack.enter_context(
+            RunLog(sent.name, sent.bodies, sent.cameras, out, options, note=options.note)
+        )
 
         def on_mark(time_s: float, what: str) -> None:
             mark_event(out, what, time_s)

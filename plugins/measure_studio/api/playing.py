@@ -81,7 +81,7 @@ def play(
     with ExitStack() as stack:
         stop = stack.enter_context(until_stopped(over))
         stack.enter_context(sending)
-        show = _viewer(stack, reel, options.viewer)
+        show = _viewer(stack, reel, options)
         played, late_s = 0, 0.0
         stop.wait(options.wait_s)
         begun, since_1970 = time.monotonic(), time.time() - time.monotonic()
@@ -106,14 +106,16 @@ def _turns(times_s: Floats, pace: Pace) -> Iterator[tuple[int, float]]:
             yield number, (round_ * (since_s[-1] + period_s) + time_s) / pace.rate
 
 
-def _viewer(stack: ExitStack, reel: Reel, address: str | None) -> Callable[[int], None]:
+def _viewer(stack: ExitStack, reel: Reel, options: PlayOptions) -> Callable[[int], None]:
     """What shows a frame set in a viewer; nothing without one."""
-    if address is None:
+    if options.viewer is None:
         return lambda _: None
     from measure.viewing.recording import RunRecording, open_recording
 
     run = reel.run
     names = [body.name for body in run.bodies]
-    stream = open_recording(run.name, run.cameras, address=address, bodies=names)
+    stream = open_recording(
+        run.name, run.cameras, address=options.viewer, bodies=names, note=options.note
+    )
     log = stack.enter_context(RunRecording(stream, run.bodies, run.cameras, 0, live=True))
     return lambda number: log.add(reel.measurements(number))

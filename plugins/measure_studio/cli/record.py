@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 
@@ -46,9 +47,10 @@ def record(
     given, request = studio_api.parse_cameras(cameras, names), capture.request()
     for line in studio_api.usb_notes(given, calibration, request):
         console.note(line)
-    preview = _preview([one.name for one in given]) if spawn else None
-    options = studio_api.CaptureOptions(request, capture.seconds, overwrite, preview, note_outage)
-    with console.progress("recording", "pictures") as report:
+    with ExitStack() as stack:
+        show = _preview([one.name for one in given], stack) if spawn else None
+        options = studio_api.CaptureOptions(request, capture.seconds, overwrite, show, note_outage)
+        report = stack.enter_context(console.progress("recording", "pictures"))
         recorded = studio_api.record(
             given,
             out,
@@ -65,12 +67,14 @@ def record(
     console.print_text(f"written to {out}; what is weak in it: measure check {out}")
 
 
-def _preview(cameras: Sequence[str]) -> Callable[[Image], None]:
-    """Open the viewer; returns what shows a picture there."""
+def _preview(cameras: Sequence[str], stack: ExitStack) -> Callable[[Image], None]:
+    """Open the viewer; returns what shows a picture there, until the stack is closed."""
     from measure.viewing.recording import LivePictures
     from measure.viewing.viewer import open_viewer
 
-    return LivePictures(cameras, open_viewer([]).listens).add
+    shown = LivePictures(cameras, open_viewer([]).listens, console.note)
+    stack.callback(shown.close)
+    return shown.add
 
 
 def note_outage(outage: Outage) -> None:
