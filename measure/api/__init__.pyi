@@ -37,6 +37,7 @@ from measure.api.stretches import run_in_stretches
 from measure.api.synchronising import SyncedClock, sync
 from measure.calibration import Board, BoardWave, Corners, Verdict, WaveState, read_board
 from measure.calibration.boards import MirroredBoardError
+from measure.calibration.other_boards import OtherBoard, other_board
 from measure.calibration.printing import Sheet, target_sheet
 from measure.checking.causes import Cause
 from measure.checking.watching import RigWatch
@@ -51,14 +52,16 @@ __all__ = [
     "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "BodySearch",
     "Calibration", "CalibrationResult", "Camera", "Cause", "Corners", "Demo", "FocalFrom",
     "FoundBody", "Image", "Lens", "Mark", "MarkKind", "Marking", "Measurement",
-    "MirroredBoardError", "Outcome", "Pipeline", "Profile", "RefineResult", "Registry", "RigWatch",
-    "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet",
-    "SyncedClock", "Verdict", "WaveState", "Workers", "begin_marks", "board_frame", "board_length",
+    "MirroredBoardError", "OtherBoard", "Outcome", "Pipeline", "Profile", "RefineResult",
+    "Registry", "RigWatch", "RigidTransform", "RunOptions", "Samples", "SeenPicture",
+    "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "Workers", "begin_marks",
+    "board_frame", "board_length",
     "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose",
     "demo", "detect", "draw", "draw_target", "drawings", "evaluate",
     "evaluation_tables", "events", "export", "find_body", "find_target", "inside",
     "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder",
-    "output", "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
+    "other_board", "output", "parse_click", "parse_expectation", "parse_images", "profile_names",
+    "read_board",
     "read_body", "read_calibration", "refine", "relative_measurements", "render_demo", "run",
     "run_in_stretches", "run_many", "sampled_color", "shipped_targets", "sync", "target_sheet",
     "write_body", "write_calibration", "write_measured_board", "write_sampled_body",

@@ -16,6 +16,9 @@ MIN_POINTS = 6  # Places from which a pose is found without knowing any
 _LOOK_SIDES_PX = (640, 960)
 """Longer sides of the pictures in which chessboards are looked for. In the first, at a tenth of the
 time of all pixels, squares of 15 px of a 720p picture are found; in the second those of 10."""
+_PLANE_SHARE, _NEARER = 0.25, 1.15
+"""By how much of its side a marker may miss its board's plane; and times as large as another copy's
+the markers of a board must be to be taken for the nearer one."""
 _AROUND_SHARE = 0.25  # Border of the part that is searched again, in sizes of what was found there
 
 CornerRule = Literal["pattern", "gradient"]
@@ -35,6 +38,7 @@ class Corners:
     source: str = ""  # the picture, for messages
     # (n, 2) the same corners by another rule (see `refine_by_gradient`), or None.
     by_gradient: Floats | None = None
+    twice: bool = False  # whether a second copy of the board is in view, farther away
 
     def localised(self, rule: CornerRule) -> Corners:
         """The same view with the corners of one rule."""
@@ -89,6 +93,9 @@ def same_after(board: Board) -> str:
     name = f"the board of {columns:.0f}x{rows:.0f} inner corners"
     turn = "half a turn" if len(board.turns) == 2 else "a quarter turn"
     return f"{name} looks the same after {turn}"
+
+
+MIN_MARKS = 4  # Places that tell how a flat thing lies, and one of them more than a line
 
 
 def aruco_dictionary(name: str) -> Any:
@@ -213,6 +220,7 @@ class Charuco(Board):
     inverted: bool = False  # printed white on black
     # OpenCV's pattern before 4.6 (differs for an even number of rows of squares).
     legacy: bool = False
+    first_marker: int = 0  # number of the marker at the upper left; the others follow
 
     @property
     def title(self) -> str:
@@ -229,7 +237,8 @@ class Charuco(Board):
         """OpenCV's description of this board."""
         markers = aruco_dictionary(self.dictionary)
         side_mm, marker_mm = float(self.square_mm), float(self.marker_mm)
-        pattern = cv2.aruco.CharucoBoard(self.squares, side_mm, marker_mm, markers)
+        numbers = self.first_marker + np.arange(self.squares[0] * self.squares[1] // 2)
+        pattern = cv2.aruco.CharucoBoard(self.squares, side_mm, marker_mm, markers, numbers)
         pattern.setLegacyPattern(self.legacy)
         return pattern
 
@@ -255,15 +264,54 @@ class Charuco(Board):
 
     def _find(self, gray: Bytes, source: str) -> Corners | None:
         picture = np.asarray(255 - gray if self.inverted else gray, dtype=np.uint8)
-        parameters = cv2.aruco.CharucoParameters()
-        pixels, ids, _, _ = cv2.aruco.CharucoDetector(self.pattern, parameters).detectBoard(picture)
+        detector = cv2.aruco.ArucoDetector(aruco_dictionary(self.dictionary))
+        sides, found, _ = detector.detectMarkers(picture)
+        if not len(sides):
+            return None
+        own = self._nearest_copy(np.ravel(found), np.reshape(sides, (-1, 4, 2)))
+        search = cv2.aruco.CharucoDetector(self.pattern, cv2.aruco.CharucoParameters())
+        pixels, ids, _, _ = search.detectBoard(
+            picture,
+            markerCorners=[sides[i] for i in own],
+            markerIds=np.reshape(found, (-1, 1))[own],
+        )
         if ids is None or np.size(ids) < MIN_POINTS:
             return None
         numbers = np.asarray(ids, dtype=np.int64).reshape(-1)
         if np.any(np.ptp(self.points[numbers, :2], axis=0) == 0):  # one row tells no pose
             return None
         places = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-        return _corners(numbers, places, picture, source)
+        corners = _corners(numbers, places, picture, source)
+        return replace(corners, twice=len(own) < len(found))
+
+    def _nearest_copy(self, numbers: Ints, corners: Floats) -> Ints:
+        """Which markers (k,) with their corners (k, 4, 2) are of one board, the nearest of several.
+
+        All of them if none is seen twice; none of them if two copies are about equally large.
+        """
+        every = np.arange(len(numbers))
+        if len(np.unique(numbers)) == len(numbers):
+            return every
+        flat = {
+            int(n): np.asarray(place, dtype=np.float64)[:, :2]
+            for n, place in zip(self.pattern.getIds(), self.pattern.getObjPoints(), strict=True)
+        }
+        rest = np.array([i for i in every if int(numbers[i]) in flat], dtype=np.int64)
+        copies: list[tuple[float, Ints]] = []
+        while len(rest) >= MIN_MARKS:
+            sides_px = np.linalg.norm(corners[rest, 0] - corners[rest, 1], axis=1)
+            places = np.concatenate([flat[int(numbers[i])] for i in rest])
+            reach_px = _PLANE_SHARE * float(np.median(sides_px))
+            _, fits = cv2.findHomography(places, corners[rest].reshape(-1, 2), cv2.RANSAC, reach_px)
+            one = np.zeros(len(rest), bool) if fits is None else np.all(fits.reshape(-1, 4), axis=1)
+            if np.count_nonzero(one) < MIN_MARKS:
+                break
+            copies.append((float(np.median(sides_px[one])), rest[one]))
+            rest = rest[~one]
+        copies.sort(key=lambda copy: -copy[0])
+        if not copies or (len(copies) > 1 and copies[0][0] < _NEARER * copies[1][0]):
+            return every[:0]
+        return copies[0][1]
 
 
 def _corners(ids: Ints, pixels: Floats, gray: Bytes, source: str) -> Corners:
@@ -302,7 +350,6 @@ def sharpness(gray: Bytes, pixels: Floats) -> float:
 
 DICTIONARY = "DICT_APRILTAG_36h11"
 BORDER_BITS = 2  # Width of the tags' black border in cells, as Kalibr prints them; others print one
-MIN_MARKS = 4  # Places that tell how a flat thing lies, and one of them more than a line
 _CORNERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 """Of a tag, in its sides: in this order half a turn of the board reverses all numbers."""
 _AROUND = np.array([0, 1, 3, 2])  # The same in the order of OpenCV's markers: clockwise

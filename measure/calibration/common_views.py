@@ -32,6 +32,7 @@ _SAME_SHARE, _OTHER_RAD = 0.02, 0.5
 """Views agree about a camera's pose if they differ by no more than this share of the board's
 diagonal, and alone about it if they differ so much more about any pose that is so far from it."""
 _APART_SHARE = 0.1  # Views that disagree by more were not taken together
+_MOST_LOST = 10  # Pictures at a beginning, by which numbers may be off
 _NOT_TOGETHER = "do pictures (video frames) of one number show one instant?"
 _MIRRORED = (
     "its pictures are mirrored, or those of the others are, for in a mirror they agree: switch off "
@@ -111,10 +112,7 @@ def _start(
         from_board = {i: board_pose(lens, board.points[v.ids], v.pixels) for i, v in mine.items()}
         common = sorted(from_board.keys() & boards.keys())
         if placed and len(common) < _MIN_COMMON:
-            raise CalibrationError(
-                f"camera {name}: shares {len(common)} board views with the other cameras, at least "
-                f"{_MIN_COMMON} are needed"
-            )
+            raise CalibrationError(_unconnected(views, [*placed], name, len(common)))
         pose = RigidTransform.identity()
         if placed:
             pairs = [(boards[i], from_board[i]) for i in common]
@@ -123,6 +121,8 @@ def _start(
             except CalibrationError:
                 if _agree_in_a_mirror(board, lens, [(boards[i], mine[i]) for i in common]):
                     raise CalibrationError(f"camera {name}: {_MIRRORED}") from None
+                if by := _shift(board, boards, from_board):
+                    raise CalibrationError(f"camera {name}: {_shifted(by)}") from None
                 raise
             for instant, turn in zip(common, turned, strict=True):
                 ids = board.turns[turn][mine[instant].ids]
@@ -133,7 +133,10 @@ def _start(
 
 
 def _agreed_pose(
-    board: Board, pairs: list[tuple[RigidTransform, RigidTransform]], name: str
+    board: Board,
+    pairs: list[tuple[RigidTransform, RigidTransform]],
+    name: str,
+    apart_share: float = _APART_SHARE,
 ) -> tuple[RigidTransform, Ints]:
     """The pose of a camera on which most of its views agree, and each view's number of turns."""
     turns = [_turned(board.points, turn) for turn in board.turns]
@@ -148,7 +151,7 @@ def _agreed_pose(
     cosine = (np.einsum("gab,ab->g", guesses.rotation, guesses.rotation[best]) - 1) / 2
     other = np.min(misfit[cosine < np.cos(_OTHER_RAD)], initial=np.inf)
     diagonal = float(np.linalg.norm(np.ptp(board.points, axis=0)))
-    if misfit[best] > _APART_SHARE * diagonal:
+    if misfit[best] > apart_share * diagonal:
         raise CalibrationError(
             f"camera {name}: sees the board {misfit[best]:.0f} mm from where the others see it: "
             f"{_NOT_TOGETHER}"
@@ -160,6 +163,56 @@ def _agreed_pose(
             "even number of inner corners, or a ChArUco board"
         )
     return guesses[best], np.argmin(apart[best], axis=1)
+
+
+def _unconnected(
+    views: Mapping[str, dict[int, Corners]], placed: Sequence[str], name: str, common: int
+) -> str:
+    """Why a camera cannot be placed: it shares too little with all, or a group with the others."""
+    group, instants = [name], {*views[name]}
+    for other in views:
+        if other not in (*placed, *group) and len(views[other].keys() & instants) >= _MIN_COMMON:
+            group.append(other)
+            instants |= views[other].keys()
+    if len(group) == 1 or len(placed) == 1:
+        whom = "the other cameras" if len(group) == 1 else placed[0]
+        who = f"camera {name}: shares" if len(group) == 1 else f"{_listed(group)} share"
+        return f"{who} {common} board views with {whom}, at least {_MIN_COMMON} are needed"
+    return (
+        f"the cameras see the board in two groups: {_listed(placed)} share views, and so do "
+        f"{_listed(group)}, but a camera of one group shares {common or 'none'} with the other "
+        f"(at least {_MIN_COMMON} are needed): show the board to a camera of each at once"
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _shift(
+    board: Board, boards: Mapping[int, RigidTransform], seen: Mapping[int, RigidTransform]
+) -> int:
+    """By how many numbers a camera's pictures are off, if they agree with others then; else 0."""
+    for by in (sign * count for count in range(1, _MOST_LOST + 1) for sign in (1, -1)):
+        pairs = [(boards[i + by], pose) for i, pose in seen.items() if i + by in boards]
+        if len(pairs) > _MIN_COMMON:
+            try:
+                _agreed_pose(board, pairs, "", _SAME_SHARE)
+            except CalibrationError:
+                continue
+            return by
+    return 0
+
+
+def _shifted(by: int) -> str:
+    count, way = abs(by), "after" if by > 0 else "before"
+    which = f"the one {way} it" if count == 1 else f"the one {count} numbers {way} it"
+    lost = "it" if by > 0 else "another camera"
+    pictures = "a picture" if count == 1 else f"{count} pictures"
+    return (
+        f"its pictures fit the others' when each is taken for {which}: {lost} lost {pictures} at "
+        "the beginning; give its pictures those numbers, or take all again"
+    )
 
 
 def _agree_in_a_mirror(

@@ -130,10 +130,17 @@ def disagreement_findings(rig: RigCalibration) -> list[Finding]:
 
 
 def board_findings(rig: RigCalibration) -> list[Finding]:
-    """Lines on a board that was stretched or is not flat."""
+    """Lines on a board that has other numbers, was stretched or is not flat."""
+    findings = list[Finding]()
+    if rig.first_marker is not None:
+        text = (
+            f"the board's markers begin with number {rig.first_marker}, and so it is read: "
+            f"first_marker = {rig.first_marker} in its file says it"
+        )
+        findings.append(Finding(Level.NOTE, "boards", text))
     if rig.shape is None:
-        return []
-    (share, *bows), (sd, *bow_sds), findings = rig.shape.seen, rig.shape.sds, list[Finding]()
+        return findings
+    (share, *bows), (sd, *bow_sds) = rig.shape.seen, rig.shape.sds
     if share:
         long, short = ("y", "x") if share > 0 else ("x", "y")
         text = (
@@ -177,6 +184,12 @@ def lens_findings(rig: RigCalibration) -> list[Finding]:
                 "camera is in mirror (selfie) mode switch that off"
             )
             findings.append(Finding(Level.WEAK, "lens", text, name))
+        if copies := sum(view.twice for view in lens.views.views):
+            text = (
+                f"two copies of the board are in view in {copies} of {len(lens.views.views)} "
+                "pictures, and the nearer one was taken: take the other away"
+            )
+            findings.append(Finding(Level.WEAK, "boards", text, name))
         kinds = defaultdict[str, list[str]](list)
         for picture, reason in lens.views.left_out.items():
             kinds[reason.partition(" (")[0]].append(f"{picture} left out: {reason}")

@@ -11,13 +11,13 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration import extrinsics, starts
-from measure.calibration.boards import Board, CornerRule, Stretched
+from measure.calibration.boards import Board, Charuco, CornerRule, Stretched
 from measure.calibration.capture import Capture, CaptureCamera
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import BoardShape, LensCalibration, board_shape, calibrate_lens
 from measure.calibration.markers import FoundMarkers
 from measure.calibration.targets import MarkerField
-from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, charuco_slip, find_views
+from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, NoBoardError, ViewSet, find_views
 from measure.errors import CalibrationError, ConfigError, MeasureError, PluginError
 from measure.estimation.lateral_color import lateral_color
 from measure.host.registry import suggestion
@@ -49,6 +49,7 @@ class RigCalibration:
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     joint: Floats | None = None  # covariance of all cameras, where `fit` does not hold it
     shape: BoardShape | None = None  # of the board, as stated; None if no lens was calibrated
+    first_marker: int | None = None  # of the board, where the pictures show other than was stated
 
     @property
     def tolerances(self) -> Tolerances:
@@ -63,6 +64,7 @@ def calibrate_capture(
     if method != JOINT:
         camera_fit(method)  # refused before lenses take minutes
     check_calibrated(capture)
+    stated = capture.board
     lenses: dict[str, LensCalibration] = {}
     known: dict[str, Intrinsics] = {}
     # All common views are kept, similar ones too: the other camera may need them.
@@ -73,8 +75,8 @@ def calibrate_capture(
         if camera.name in capture.lenses:
             known[camera.name] = capture.lenses[camera.name]
         else:
+            capture, views = _views(capture, camera, limit, first=not lenses)
             assert capture.board is not None
-            views = find_views(capture.board, capture.views(camera), camera.name, limit)
             model = camera.model or capture.settings.model
             lens = calibrate_lens(capture.board, views, camera.name, model)
             # Of red and blue, by pictures of the board, which is grey
@@ -86,7 +88,9 @@ def calibrate_capture(
             color = None if found is None else (float(found.red_blue[0]), float(found.red_blue[1]))
             lenses[camera.name] = replace(lens, lateral_color=color)
             known[camera.name] = lenses[camera.name].intrinsics
-    shape = None
+    shape, numbered = None, None
+    if isinstance(capture.board, Charuco) and capture.board != stated:
+        numbered = capture.board.first_marker
     if capture.board is not None and lenses:
         shape = board_shape(capture.board, lenses.values())
         if stretch := float(shape.seen[0]):
@@ -95,8 +99,31 @@ def calibrate_capture(
             lenses = _of_board(capture, lenses)
             known |= {name: lens.intrinsics for name, lens in lenses.items()}
     if capture.settings.common_views:
-        return replace(_relative(capture, lenses), shape=shape)
-    return replace(_locate_all(capture, method, lenses, known), shape=shape)
+        rig = _relative(capture, lenses)
+    else:
+        rig = _locate_all(capture, method, lenses, known)
+    return replace(rig, shape=shape, first_marker=numbered)
+
+
+def _views(
+    capture: Capture, camera: CaptureCamera, limit: int, first: bool
+) -> tuple[Capture, ViewSet]:
+    """The views of a camera; where the board is as stated but for its numbers, with those it has.
+
+    That is found by the first camera: others that see other numbers see another board.
+    """
+    board = capture.board
+    assert board is not None
+    try:
+        return capture, find_views(board, capture.views(camera), camera.name, limit)
+    except NoBoardError as problem:
+        seen = problem.other.board if problem.other else None
+        if not (first and seen is not None and isinstance(board, Charuco)):
+            raise
+        if replace(seen, first_marker=board.first_marker) != board:
+            raise
+        capture = replace(capture, board=seen)
+        return capture, find_views(seen, capture.views(camera), camera.name, limit)
 
 
 def _of_board(capture: Capture, lenses: dict[str, LensCalibration]) -> dict[str, LensCalibration]:
@@ -251,11 +278,8 @@ def _see_board(
     gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
     corners = board.find(gray, Path(camera.board_image).name)
     if corners is None:
-        raise CalibrationError(
-            f"camera {camera.name}: no board found in {capture.path.parent / camera.board_image}; "
-            + (
-                charuco_slip(board, [gray])
-                or "all of it must be in view, as board.toml says, sharp"
-            )
+        where = (
+            f"camera {camera.name}: no board found in {capture.path.parent}/{camera.board_image}"
         )
+        raise NoBoardError(where, board, [gray])
     return starts.SeenBoard(board, corners.localised(rule), camera.world_from_board)

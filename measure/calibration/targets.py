@@ -89,6 +89,7 @@ class CharucoFile(BoardFile):
     dictionary: str = "DICT_4X4_100"
     inverted: bool = False
     legacy: bool = False
+    first_marker: Annotated[int, Field(ge=0)] = 0
 
     @field_validator("dictionary")
     @classmethod
@@ -105,7 +106,7 @@ class CharucoFile(BoardFile):
         if np.float32(self.marker_mm) >= side_mm:
             raise ValueError("marker_mm must be smaller than square_mm")
         columns, rows = self.inner_corners
-        needed = (columns + 1) * (rows + 1) // 2
+        needed = self.first_marker + (columns + 1) * (rows + 1) // 2
         held = len(aruco_dictionary(self.dictionary).bytesList)
         if needed > held:
             raise ValueError(

@@ -1,102 +1,17 @@
-"""Board views: which are sharp and differ from each other; and what a board file says wrongly."""
+"""Board views: which are sharp, and differ from each other."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
-from itertools import product
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats, rms_length
 from measure.calibration import boards
-from measure.calibration.boards import MIN_MARKS
+from measure.calibration.other_boards import OtherBoard, other_board, tag_gap
 from measure.errors import CalibrationError
-
-_FAMILIES = (
-    *("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL"),
-    *("DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11"),
-    "DICT_ARUCO_MIP_36h12",
-)
-"""The largest dictionary of each family: the smaller ones are its first markers."""
-_SMALLER = (50, 100, 250)
-
-
-def charuco_slip(board: boards.Board, grays: Sequence[Bytes]) -> str:
-    """What a board's file must say instead, by pictures (h, w) none of which shows it; else ""."""
-    if not isinstance(board, boards.Charuco):
-        return ""
-    own = next(name for name in _FAMILIES if _is_of(board.dictionary, name))
-    seen = _families_seen(grays, [own], board.inverted)
-    for inverted in () if seen else (board.inverted, not board.inverted):
-        seen += _families_seen(grays, _FAMILIES, inverted)
-    if not seen:
-        return ""
-    count, family, inverted, highest = max(seen)
-    dictionary = board.dictionary
-    if not _is_of(dictionary, family):
-        sizes = (size for size in _SMALLER if family.endswith("_1000") and size > highest)
-        dictionary = family.replace("1000", str(next(sizes, 1000)))
-    columns, rows = board.inner_corners
-    counts = [(columns, rows), (rows, columns), (columns - 1, rows - 1), (rows - 1, columns - 1)]
-    for legacy, inner in product((board.legacy, not board.legacy), counts):
-        if min(inner) < 2:
-            continue
-        tried = replace(board, inner_corners=inner, legacy=legacy, inverted=inverted)
-        tried = replace(tried, dictionary=dictionary)
-        columns, rows = tried.squares
-        fits = columns * rows // 2 <= len(boards.aruco_dictionary(dictionary).bytesList)
-        if fits and any(_is_seen(tried, gray) for gray in grays):
-            return f"the pictures show another one: write {_difference(board, tried)}"
-    return (
-        f"{count} markers of {dictionary} are seen, with numbers up to {highest}, but no board of "
-        f"{board.inner_corners[0]}x{board.inner_corners[1]} inner corners: count them again"
-    )
-
-
-def _is_of(dictionary: str, family: str) -> bool:
-    return dictionary.startswith(family.removesuffix("1000"))
-
-
-def _families_seen(
-    grays: Sequence[Bytes], families: Sequence[str], inverted: bool
-) -> list[tuple[int, str, bool, int]]:
-    """How many markers of which family, printed inverted or not, are seen, up to which number."""
-    kinds = list(map(boards.aruco_dictionary, families))
-    detector = cv2.aruco.ArucoDetector(kinds)
-    ids: list[list[int]] = [[] for _ in families]
-    for gray in grays:
-        shown = np.asarray(255 - gray if inverted else gray, np.uint8)
-        _, numbers, _, kind_of = detector.detectMarkersMultiDict(shown)
-        some = () if numbers is None else zip(np.ravel(numbers), np.ravel(kind_of), strict=True)
-        for number, kind in some:
-            ids[int(kind)].append(int(number))
-    return [
-        (len(found), name, inverted, max(found))
-        for found, name in zip(ids, families, strict=True)
-        if len(found) >= MIN_MARKS
-    ]
-
-
-def _is_seen(board: boards.Charuco, gray: Bytes) -> bool:
-    try:
-        return board.find(gray) is not None
-    except boards.MirroredBoardError:
-        return False
-
-
-def _difference(board: boards.Charuco, other: boards.Charuco) -> str:
-    """The TOML that makes one of the other."""
-    changed = []
-    for key in (field.name for field in fields(board)):
-        value = getattr(other, key)
-        if value != getattr(board, key):
-            shown = list(value) if isinstance(value, tuple) else value
-            text = f'"{shown}"' if isinstance(shown, str) else str(shown).lower()
-            changed.append(f"{key} = {text}")
-    return ", ".join(changed)
-
 
 MAX_VIEWS = 40
 ALL_VIEWS = 1000
@@ -104,7 +19,7 @@ MIN_VIEWS = 5
 ALIKE_SHARE = 0.02
 """Views whose corners moved by less than this share of the image diagonal are one view."""
 SAME_SHARE = 0.004  # Views that differ by less than this are the same: the second one is left out
-_EXPLAINED = 3  # Pictures in which another board than the stated one is looked for
+_EXPLAINED = 6  # Pictures in which another board than the stated one is looked for
 BLURRED_SHARE = 0.5
 _COVERAGE_GRID = (8, 6)
 
@@ -138,6 +53,39 @@ class ViewSet:
         return float(np.mean(self.coverage() > 0))
 
 
+class NoBoardError(CalibrationError):
+    """Pictures (h, w) in which a board is not found, and what they show instead.
+
+    Attributes:
+        other: the board that they show; None if they show none.
+    """
+
+    def __init__(self, where: str, board: boards.Board, grays: Sequence[Bytes]) -> None:
+        self.other = other_board(board, grays)
+        super().__init__(f"{where}; {_to_mend(self.other)}")
+
+
+def _to_mend(other: OtherBoard | None) -> str:
+    if other is None:
+        return (
+            "check that board.toml describes the printed board (inner corners, not squares) and "
+            "that all of it is in view, and sharp"
+        )
+    return f"{other.text}: {other.remedy}" if other.remedy else other.text
+
+
+def _other_size(camera: str, name: str, here: tuple[int, int], others: tuple[int, int]) -> str:
+    """Why a picture's size (width, height) is refused."""
+    text = "camera {}: {} is {}x{} px, the others {}x{}".format(camera, name, *here, *others)
+    if here == others[::-1]:
+        way = "upright and the others lie" if here[1] > here[0] else "lying and the others upright"
+        text += (
+            f": it is {way}, as if the camera, or a program, had turned it: turn it back by a "
+            "quarter, the way it was turned, or leave it out: a lens is known in its own picture"
+        )
+    return text
+
+
 def find_views(
     board: boards.Board, pictures: Iterable[tuple[str, Bytes]], camera: str, limit: int = MAX_VIEWS
 ) -> ViewSet:
@@ -150,9 +98,7 @@ def find_views(
     for name, bgr in pictures:
         here = bgr.shape[1], bgr.shape[0]
         if (size := size or here) != here:
-            raise CalibrationError(
-                f"camera {camera}: {name} is {here[0]}x{here[1]} px, the others {size[0]}x{size[1]}"
-            )
+            raise CalibrationError(_other_size(camera, name, here, size))
         gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
         try:
             corners = board.find(gray, name)
@@ -165,14 +111,14 @@ def find_views(
         else:
             seen.append(corners)
     if size is None or not seen:
-        usual = (
-            "check that board.toml describes the printed board (inner corners, not squares) and "
-            "that all of it is in view"
+        raise NoBoardError(
+            f"camera {camera}: no board found in any of {len(left_out)} pictures", board, missed
         )
-        raise CalibrationError(
-            f"camera {camera}: no board found in any of {len(left_out)} pictures; "
-            f"{charuco_slip(board, missed) or usual}"
-        )
+    gap = ""
+    if isinstance(board, boards.AprilGrid):
+        gap = tag_gap(board, [(view.ids, view.pixels) for view in seen])
+    if gap:
+        raise CalibrationError(f"camera {camera}: {gap}")
     chosen = choose_views(board, seen, size, camera, left_out, limit)
     return replace(chosen, mirrored=mirrored)
 

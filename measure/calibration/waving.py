@@ -9,12 +9,13 @@ from itertools import combinations
 
 import numpy as np
 
-from measure.arrays import Floats, rms_length
+from measure.arrays import Bytes, Floats, rms_length
 from measure.calibration.board_views import LENS_MODELS, board_pose, fit_lens, start_intrinsics
 from measure.calibration.boards import Board, Corners
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.findings import workspace_of
 from measure.calibration.intrinsics import LensCalibration
+from measure.calibration.other_boards import other_board
 from measure.calibration.views import ALL_VIEWS, BLURRED_SHARE, MIN_VIEWS, choose_views, outline
 from measure.errors import CalibrationError, DegenerateGeometryError
 from measure.estimation.expected_accuracy import body_pose_sd
@@ -26,6 +27,7 @@ _NEW_SHARE = 0.06  # Share of the diagonal by which a view differs from those th
 _SLIP_PX = 0.5  # How far the board may move between the pictures of one instant
 _FAR_PX = 12.0  # Corners nearer to each other than this are found seldom, and badly
 _SLOW_S = 1.0  # A computer that looks more seldom than this is told of: hands wait for it
+_CLOSER_LOOKS = 10  # In succession without the board, after which another one is looked for
 _UNSEEN_LOOKS = 30  # In succession, before it is asked whether the board is the one that was chosen
 _FIT_EVERY = 4  # Instants after which the cameras are fitted again
 _FEWEST, _COMMON = 8, 4  # Views of a camera, and of two neighbours, from which the fit may decide
@@ -108,6 +110,7 @@ class BoardWave:
     _look_s: tuple[float, float] = (np.nan, np.nan)  # When it was looked last, and before
     _problem: str = ""  # Why the views do not fit each other
     _unseen_looks: int = 0  # Since the beginning or the last one at which a camera saw the board
+    _other: str = ""  # What is seen instead
 
     def add(
         self,
@@ -134,7 +137,10 @@ class BoardWave:
         self._last |= {name: view.sharpness for name, view in views.items()}
         self._look_s = max(times_s.values(), default=np.nan), self._look_s[0]
         far = [name for name, view in views.items() if self._pitch_px(view) < _FAR_PX]
-        self._unseen_looks = 0 if views or mirrored else self._unseen_looks + bool(times_s)
+        if views or mirrored:
+            self._unseen_looks, self._other = 0, ""
+        else:
+            self._unseen_looks += bool(times_s)
         self._now = dict.fromkeys(views, Now.SEEN)
         for names, what in (
             (far, Now.FAR),
@@ -158,6 +164,21 @@ class BoardWave:
         if len(self.kept) % _FIT_EVERY == 0:
             self._sd_mm, self._problem = self._fitted_mm()
 
+    @property
+    def wants_a_closer_look(self) -> bool:
+        """Whether no camera has seen the board for so long that `look_closer` is worth its time."""
+        rounds, rest = divmod(self._unseen_looks, _CLOSER_LOOKS)
+        return rest == 0 and rounds.bit_count() == 1  # each time after twice as many looks
+
+    def look_closer(self, grays: Sequence[Bytes]) -> None:
+        """See whether pictures (h, w) of one instant show another board, which is then said.
+
+        It takes a second or two, and so looks at one of them, at another one each time.
+        """
+        turn = (self._unseen_looks // _CLOSER_LOOKS).bit_length() - 1
+        other = other_board(self.board, [grays[turn % len(grays)]])
+        self._other = other.text if other else ""
+
     def state(self) -> WaveState:
         """How far it is."""
         cameras = {name: self._camera(name) for name in self.sizes_wh}
@@ -168,7 +189,9 @@ class BoardWave:
         lacks = [*_advice(cameras), *_unconnected(list(cameras), pairs)]
         if not (lacks or self._sd_mm <= self.goal_mm):
             lacks = [self._problem or "every camera: other places, other tilts"]
-        if self._unseen_looks >= _UNSEEN_LOOKS:
+        if self._other:
+            lacks.insert(0, self._other)
+        elif self._unseen_looks >= _UNSEEN_LOOKS:
             lacks.insert(0, f"no {self.board.title} is found: is it this one? Show all of it")
         period_s = self._look_s[0] - self._look_s[1]
         advice = (*_at_once(cameras, period_s), *lacks) if lacks else ()

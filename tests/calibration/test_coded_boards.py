@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from measure.arrays import Bytes
-from measure.calibration import Charuco, calibrate_lens, find_views, read_board
+from measure.calibration import Charuco, Chessboard, calibrate_lens, find_views, read_board
 from measure.calibration.boards import AprilGrid
+from measure.calibration.other_boards import other_board, tag_gap
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from tests.calibration.rigs import SIZE, lens
@@ -34,7 +35,10 @@ def _print(board: Charuco) -> Bytes:
             {"inner_corners": (8, 5), "dictionary": "DICT_6X6_250", "inverted": True},
             r'write inner_corners = \[4, 7\], dictionary = "DICT_4X4_50", inverted = false$',
         ),
-        ({"inner_corners": (5, 5)}, "20 markers of DICT_4X4_50 are seen, .* up to 19, .* 5x5"),
+        (
+            {"inner_corners": (5, 5)},
+            r"5x8 squares seen, 6x6 chosen: write inner_corners = \[4, 7\]$",
+        ),
     ],
 )
 def test_a_charuco_board_described_wrongly(wrong: dict[str, object], said: str) -> None:
@@ -42,6 +46,83 @@ def test_a_charuco_board_described_wrongly(wrong: dict[str, object], said: str) 
     pictures = [("0.png", np.asarray(picture, np.uint8))]
     with pytest.raises(CalibrationError, match=rf"no board found in any of 1 pictures; .*{said}"):
         find_views(replace(TRUE, **wrong), pictures, "cam0")
+
+
+def test_a_board_whose_numbers_do_not_begin_at_0() -> None:
+    true = Charuco((8, 5), 30.0, 22.0, "DICT_4X4_250", first_marker=27)
+    picture = _print(true)
+    found = true.find(picture)
+    assert found is not None
+    assert len(found.ids) == 40
+    other = other_board(replace(true, first_marker=0), [picture])
+    assert other is not None
+    assert other.board == true
+    assert other.remedy == "write first_marker = 27"
+    whole = replace(true, first_marker=0)
+    part = _print(whole)[80:]  # without its uppermost row it is no board of other numbers
+    assert other_board(replace(whole, inner_corners=(5, 8)), [part]).board == whole
+
+
+def _before_a_wall(near: Bytes, far: Bytes) -> Bytes:
+    """A board, and a smaller print of it beside."""
+    height, width = near.shape
+    out = np.full((height, width + far.shape[1]), 255, np.uint8)
+    out[:, :width] = near
+    out[: far.shape[0], width:] = far
+    return out
+
+
+def test_of_two_copies_the_nearer_one_is_taken() -> None:
+    near = _print(TRUE)
+    far = cv2.resize(near, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
+    alone, found = TRUE.find(near), TRUE.find(_before_a_wall(near, far))
+    assert alone is not None
+    assert found is not None
+    assert found.twice
+    assert not alone.twice
+    np.testing.assert_array_equal(found.ids, alone.ids)
+    np.testing.assert_allclose(found.pixels, alone.pixels, atol=0.1)
+    alike = np.asarray(cv2.cvtColor(_before_a_wall(near, near), cv2.COLOR_GRAY2BGR), np.uint8)
+    with pytest.raises(CalibrationError, match="its markers are seen twice"):
+        find_views(TRUE, [("0.png", alike)], "cam0")
+
+
+def _chessboard(columns: int, rows: int) -> Bytes:
+    cells = np.indices((rows, columns)).sum(axis=0) % 2 * 255
+    flat = np.kron(cells, np.ones((40, 40))).astype(np.uint8)
+    return cv2.copyMakeBorder(flat, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+
+
+def test_another_board_than_the_chosen_one_is_named() -> None:
+    smaller, tags = replace(TRUE, inner_corners=(8, 5)), _grid(GRID, 2, 0)
+    seen = [
+        (smaller, _print(TRUE), "5x8 squares seen, 9x6 chosen"),
+        (TRUE, _chessboard(10, 7), "a chessboard of 9x6 inner corners seen, a ChArUco board"),
+        (Chessboard((8, 5), 25.0), _chessboard(10, 7), "10x7 squares seen, 9x6 chosen"),
+        (Chessboard((8, 5), 25.0), _print(TRUE), "a ChArUco board of 4x7 inner corners (DICT_4X4"),
+        (AprilGrid((6, 6), 40.0, 0.3), tags, "5x4 tags seen, 6x6 chosen"),
+    ]
+    for chosen, picture, said in seen:
+        other = other_board(chosen, [picture])
+        assert other is not None
+        assert other.text.startswith(f"this is another board: {said}")
+    assert other_board(TRUE, [np.full((200, 300), 200, np.uint8)]) is None
+
+
+def test_a_gap_between_tags_in_another_unit_is_named() -> None:
+    views = [GRID.find(_grid(GRID, 2, 0))]
+    pictures = [("0.png", np.repeat(_grid(GRID, 2, 0)[:, :, None], 3, axis=2))] * 2
+    assert tag_gap(GRID, [(view.ids, view.pixels) for view in views]) == ""
+    in_metres = replace(GRID, tag_spacing=0.012)
+    with pytest.raises(CalibrationError, match=r"0\.012 is the gap in m: write tag_spacing = 0\.3"):
+        find_views(in_metres, pictures, "cam0")
+
+
+def test_an_upright_picture_among_lying_ones_is_named() -> None:
+    lying = np.repeat(_print(TRUE)[:, :, None], 3, axis=2)
+    pictures = [("0.png", lying), ("1.png", np.ascontiguousarray(np.rot90(lying)))]
+    with pytest.raises(CalibrationError, match=r"1\.png is .* it is lying and the others upright"):
+        find_views(TRUE, pictures, "cam0")
 
 
 def test_pictures_without_markers_say_nothing_of_the_board() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.errors import body_cost
 from measure.arrays import rms_length
-from measure.calibration import BoardWave, Chessboard, Corners
+from measure.calibration import BoardWave, Charuco, Chessboard, Corners
 from measure.calibration.board_views import LENS_MODELS, fit_lens, start_intrinsics
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import LensCalibration
@@ -260,6 +260,20 @@ def test_a_board_that_is_never_found_is_asked_about():
         wave.add({}, at_once(NAMES, number / 10))
     asked = "no ChArUco board of 8x5 inner corners is found: is it this one? Show all of it"
     assert wave.state().advice[0] == asked
+
+
+def test_another_board_than_the_chosen_one_is_said():
+    wave, shown = wave_of(), Charuco((9, 6), 25.0, 18.0)
+    picture = shown.pattern.generateImage((400, 280), marginSize=20)
+    for number in range(10):
+        assert not wave.wants_a_closer_look
+        wave.add({}, at_once(NAMES, number / 10))
+    assert wave.wants_a_closer_look
+    wave.look_closer([picture])
+    said = "this is another board: 10x7 squares seen, 9x6 chosen"
+    assert wave.state().advice[0] == said
+    wave.look_closer([np.full((200, 300), 200, np.uint8)])
+    assert said not in wave.state().advice
 
 
 def test_what_two_cameras_share_is_kept_though_each_knows_it(rng):

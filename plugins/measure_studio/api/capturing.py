@@ -16,7 +16,7 @@ import numpy as np
 
 from measure import api
 from measure.api.outputs import check_folder, new_folder
-from measure.arrays import Floats
+from measure.arrays import Bytes, Floats
 from measure.errors import ConfigError
 from measure.model import Image, paper_body
 from measure.session import dump_toml, read_body
@@ -97,6 +97,8 @@ def _wave(
             mirrored = [name for name, view in seen.items() if view == _MIRRORED]
             if len(wave.sizes_wh) == len(names) and wave.add(views, times_s, mirrored):
                 _write(out, len(wave.kept), [i for i in images if i.camera in wave.kept[-1]])
+            if wave.wants_a_closer_look:
+                wave.look_closer([_gray(image) for image in images])
             state = wave.state()
             on_state(state)
             if state.enough:
@@ -105,11 +107,14 @@ def _wave(
 
 
 def _look(board: api.Board, image: Image) -> api.Corners | Literal["mirrored"] | None:
-    gray = np.asarray(cv2.cvtColor(image.pixels, cv2.COLOR_BGR2GRAY), np.uint8)
     try:
-        return board.look(gray)
+        return board.look(_gray(image))
     except api.MirroredBoardError:
         return _MIRRORED
+
+
+def _gray(image: Image) -> Bytes:
+    return np.asarray(cv2.cvtColor(image.pixels, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def _begin(out: Path, board: Path, names: Sequence[str]) -> None:
