@@ -122,7 +122,8 @@ def _start(
                 if _agree_in_a_mirror(board, lens, [(boards[i], mine[i]) for i in common]):
                     raise CalibrationError(f"camera {name}: {_MIRRORED}") from None
                 if by := _shift(board, boards, from_board):
-                    raise CalibrationError(f"camera {name}: {_shifted(by)}") from None
+                    told = f"camera {name}: {_NOT_TOGETHER} {_shifted(by)}"
+                    raise CalibrationError(told) from None
                 raise
             for instant, turn in zip(common, turned, strict=True):
                 ids = board.turns[turn][mine[instant].ids]
@@ -210,8 +211,8 @@ def _shifted(by: int) -> str:
     lost = "it" if by > 0 else "another camera"
     pictures = "a picture" if count == 1 else f"{count} pictures"
     return (
-        f"its pictures fit the others' when each is taken for {which}: {lost} lost {pictures} at "
-        "the beginning; give its pictures those numbers, or take all again"
+        f"They do when each of its pictures is taken for {which}: {lost} lost {pictures} at the "
+        "beginning; give its pictures those numbers, or take all again"
     )
 
 

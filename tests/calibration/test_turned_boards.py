@@ -81,6 +81,46 @@ def test_common_views_without_tilt_fit_two_ways_and_late_ones_none() -> None:
             fit_common_views(board, _lenses(board, 25.0, late=1))
 
 
+def _numbered(lens: LensCalibration, numbers: list[int]) -> LensCalibration:
+    """The same pictures under other numbers; those without one are not there."""
+    kept = zip(lens.views.views, numbers, strict=False)
+    views = tuple(replace(view, source=f"{number}.png") for view, number in kept)
+    return replace(lens, views=ViewSet(SIZE, views, {}))
+
+
+@pytest.mark.parametrize(
+    ("first", "said"),
+    [
+        (1, "taken for the one before it: another camera lost a picture at the beginning"),
+        (-2, "taken for the one 2 numbers after it: it lost 2 pictures at the beginning"),
+    ],
+)
+def test_numbers_of_common_views_that_are_off_are_named(first: int, said: str) -> None:
+    board = Chessboard((9, 6), 20.0)
+    lenses = _lenses(board, 25.0)
+    off = {n: _numbered(lens, list(range(10, 17))) for n, lens in lenses.items()}
+    off["cam1"] = _numbered(lenses["cam1"], list(range(10 + first, 17 + first)))
+    with pytest.raises(CalibrationError, match=f"camera cam1: .*of one number show one.*{said}"):
+        fit_common_views(board, off)
+    mixed = off | {"cam1": _numbered(lenses["cam1"], [13, 10, 16, 12, 15, 11, 14])}
+    with pytest.raises(CalibrationError, match=r"of one number show one instant\?$"):
+        fit_common_views(board, mixed)
+
+
+def test_cameras_that_see_the_board_in_two_groups_are_named() -> None:
+    board = Chessboard((9, 6), 20.0)
+    lenses = _lenses(board, 25.0)
+    lenses["cam3"] = lenses["cam1"]
+    for name in ("cam2", "cam3"):
+        lenses[name] = _numbered(lenses[name], list(range(6, 13)))
+    said = r"cam0 and cam1 share views, and so do cam2 and cam3, but a camera .* shares 1 with"
+    with pytest.raises(CalibrationError, match=said):
+        fit_common_views(board, lenses)
+    del lenses["cam3"]
+    with pytest.raises(CalibrationError, match="camera cam2: shares 1 board views with the other"):
+        fit_common_views(board, lenses)
+
+
 @pytest.mark.parametrize("corners", [(8, 6), (6, 6)])
 def test_a_board_of_known_pose_lies_where_the_marks_agree(corners: tuple[int, int]) -> None:
     board, true = Chessboard(corners, 25.0), cameras()[0]
