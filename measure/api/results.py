@@ -47,7 +47,7 @@ def evaluate(
     cameras = None if calibration is None else read_calibration(calibration).cameras
     return evaluate_run(
         opened,
-        read_trajectory(path, RunError, truth_body),
+        read_trajectory(path, RunError, truth_body, opened.span_s),
         cameras,
         None if marks is None else read_marks(marks, opened),
         find_offset,

@@ -32,14 +32,16 @@ def evaluate(
 
     Args:
         run: the run's folder.
-        truth: poses over time (time_s,x_mm,...,qz; TUM; an export of rigid bodies by Motive, Vicon,
-            Qualisys or NDI); those of the session if omitted.
+        truth: poses over time (time_s,x_mm,...,qz; TUM; EuRoC; `rostopic echo -p`; bag#topic; an
+            export of rigid bodies by Motive, Vicon, Qualisys or NDI); those of the session if
+            omitted.
         calibration: where the cameras really are, if known: tells errors of detection from errors
             of camera localisation.
         marks: ball centres marked by hand (camera,frame,ball,u_px,v_px) to compare detection with.
         find_offset: find by motion what to add to the truth's times, and fit its frames to the run
             if they are others; refused where the motion cannot tell.
-        truth_body: which rigid body of a tracker's file, or of a table with a column `body`.
+        truth_body: which rigid body of a tracker's file or a bag, or of a table with a column
+            `body`.
         body: which body, of a run of several; each if omitted.
     """
     names = api.body_names(run)

@@ -26,8 +26,12 @@ from measure.results.statistics import (
     rotation_errors,
 )
 from measure.results.tables import integers, matrices, numbers, texts
-from measure.results.truth_alignment import FAR_DEG, FAR_MM, TruthOffset, align_truth
+from measure.results.truth_alignment import FAR_DEG, FAR_MM, TruthOffset, align_truth, mirror_notes
 from measure.session import Trajectory
+
+_FEWEST_ROWS = 3  # Of the truth within a run: fewer tell nothing of the motion between them
+_ALIKE_RATIO = 1.25  # Of standard deviations: thirty errors tell no smaller one
+_STILL_MM = 1.0  # A body that moves less between two rows may be interpolated anyhow
 
 
 @dataclass(frozen=True)
@@ -115,8 +119,10 @@ def evaluate(
         localisation=localisation,
         truth_offset=offset,
         notes=(
+            *truth.notes,
             *(() if offset is None else (offset.note(),)),
             *_notes(run, errors, missing, marks, true_cameras is None),
+            *mirror_notes(truth.source, measured, true),
         ),
         noise=noise_about(run, _of_all(here, errors)),
     )
@@ -150,7 +156,23 @@ def _covered(run: Run, truth: Trajectory) -> Bools:
             f"{truth.source} runs from {theirs}, at no time together with {run.path} ({ours}): it "
             "is not its truth, or on another clock (--find-offset finds it by motion)"
         )
+    _check_rows(run, truth)
     return covered
+
+
+def _check_rows(run: Run, truth: Trajectory) -> None:
+    """Refuse a truth whose rows are too few for the motion between them, as of a wrong unit."""
+    begin, end = np.searchsorted(truth.times_s, [run.times_s[0], run.times_s[-1]])
+    around = slice(max(int(begin) - 1, 0), int(end) + 1)
+    places = truth.world_from_body.translation[around]
+    few = len(run.times_s) >= _FEWEST_ROWS > end - begin
+    if few and np.ptp(places, axis=0).max() > _STILL_MM:
+        step_s = float(np.median(np.diff(truth.times_s[around])))
+        raise RunError(
+            f"{run.path} ({run.times_s[0]:.3f} to {run.times_s[-1]:.3f} s) lies between "
+            f"{len(places)} rows of {truth.source}, which are {step_s:.4g} s apart: that is no "
+            "comparison. Are its times in seconds, and on this clock?"
+        )
 
 
 def pose_errors(run: Run, truth: Trajectory) -> Floats:
@@ -351,12 +373,29 @@ def _consistency(found: RunEvaluation) -> TextTable:
         ("body pose, 6-D", found.pose_consistency),
     )
     rows: list[tuple[Cell, ...]] = [
-        (name, kind.count, f"{100 * kind.inside_95:.1f} %", kind.normalised_squared_error)
+        (
+            name,
+            kind.count,
+            f"{100 * kind.inside_95:.1f} %",
+            kind.normalised_squared_error,
+            _stated_against_shown(kind.normalised_squared_error),
+        )
         for name, kind in kinds
         if kind is not None
     ]
-    columns = ("covariance of", "count", "in 95 % region", "normalised error^2 (1 is right)")
+    columns = (
+        *("covariance of", "count", "in 95 % region", "normalised error^2 (1 is right)"),
+        "stated against the errors of this recording",
+    )
     return TextTable("Do the reported covariances hold?", columns, rows)
+
+
+def _stated_against_shown(normalised_squared_error: float) -> str:
+    """How large the stated deviations are beside the errors, in words."""
+    ratio = 1 / math.sqrt(max(normalised_squared_error, 1e-12))
+    if 1 / _ALIKE_RATIO < ratio < _ALIKE_RATIO:
+        return "alike"
+    return f"{ratio:.2g} times: " + ("on the safe side" if ratio > 1 else "too small")
 
 
 def _noise(found: RunEvaluation) -> TextTable:

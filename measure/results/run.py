@@ -79,6 +79,12 @@ class Run:
         """Instants (n,) of the frame sets."""
         return numbers(self.poses, "time_s")
 
+    @property
+    def span_s(self) -> tuple[float, float] | None:
+        """Instants of the first and the last frame set, if there is one."""
+        times_s = self.times_s
+        return (float(times_s[0]), float(times_s[-1])) if len(times_s) else None
+
     @cached_property
     def has_pose(self) -> Bools:
         """Which frame sets (n,) have a pose."""

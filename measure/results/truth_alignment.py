@@ -6,7 +6,8 @@ leave least, offset and frames are fitted together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -17,6 +18,7 @@ from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.limits import CLEAR_RATIO, SPREAD_OVER
 from measure.results.run import Run
+from measure.results.statistics import AXES
 from measure.session import Trajectory
 
 _STEP_S, _LEAST_COMMON_S = 0.02, 0.5
@@ -28,6 +30,16 @@ _MAX_LEFT, _APART_S = 0.2, 0.05
 """Largest RMS of what is left, as a share of the motion; and an offset so far from the best is a
 rival if it leaves less than so many times as much."""
 FAR_MM, FAR_DEG = 30.0, 20.0
+_FAR_MIRRORED_MM, _MIRROR_RATIO = 1.0, 10.0
+"""A truth is taken for left-handed if it is farther off, and so many times as far as mirrored."""
+_MIRROR = np.diag([1.0, -1.0, 1.0])
+_LEFT_HANDED = [
+    turn
+    for order in itertools.permutations(range(3))
+    for signs in itertools.product((1.0, -1.0), repeat=3)
+    if np.linalg.det(turn := np.diag(signs)[:, order]) < 0
+]
+"""All ways (3, 3) to exchange and negate axes that turn a right hand into a left one."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +69,73 @@ def align_truth(run: Run, truth: Trajectory) -> tuple[Trajectory, TruthOffset]:
 
     RunError: too little motion in common, none that agrees, or motion that repeats itself.
     """
+    fits = _fits(run, truth)
+    if not fits or fits[0][0] > _MAX_LEFT:
+        mirrored = _fits(run, _mirrored(truth))
+        if mirrored and mirrored[0][0] < _MAX_LEFT:
+            world = _frames(mirrored[0][2])[0]
+            cure = _mirror_cure(world.rotation @ _MIRROR)
+            raise RunError(
+                f"{truth.source} is left-handed: it moves as {run.path} does only if it is "
+                f"mirrored; {cure}"
+            )
+        raise RunError(
+            f"no offset makes {truth.source} move as {run.path} does: does the body move, and is "
+            "it the truth of this run, of this body, and in mm?"
+        )
+    least, offset_s, x, problem = fits[0]
+    for left, rival_s, *_ in fits[1:]:
+        if abs(rival_s - offset_s) > _APART_S and left < CLEAR_RATIO * least:
+            raise RunError(
+                f"the motion fits offsets of the truth's clock of {offset_s:.2f} s and "
+                f"{rival_s:.2f} s alike, as it repeats itself or is too short: shift the truth's "
+                "times yourself"
+            )
+    return problem.moved(x)
+
+
+def mirror_notes(source: str, measured: RigidTransform, true: RigidTransform) -> list[str]:
+    """That a truth is left-handed, and which axis, if it is off as it stands and fits mirrored."""
+    if len(measured.translation) < 3:
+        return []
+
+    def off_mm(turn: Floats) -> float:
+        off = true.translation @ turn.T - measured.translation
+        return float(np.median(np.linalg.norm(off, axis=1)))
+
+    as_it_is, mirrored = off_mm(np.eye(3)), {k: off_mm(m) for k, m in enumerate(_LEFT_HANDED)}
+    best = min(mirrored, key=lambda k: mirrored[k])
+    if as_it_is < _FAR_MIRRORED_MM or as_it_is < _MIRROR_RATIO * mirrored[best]:
+        return []
+    note = (
+        f"{source} is left-handed: half of its positions are more than {as_it_is:.3g} mm off as it "
+        f"stands, which is compared here, and {mirrored[best]:.2g} mm if it is mirrored; "
+        f"{_mirror_cure(_LEFT_HANDED[best])}"
+    )
+    return [note]
+
+
+def _mirrored(truth: Trajectory) -> Trajectory:
+    poses = truth.world_from_body
+    rotations = _MIRROR @ poses.rotation @ _MIRROR
+    moved = RigidTransform(rotations, poses.translation @ _MIRROR)
+    return replace(truth, world_from_body=moved)
+
+
+def _mirror_cure(right_from_left: Floats) -> str:
+    """What to do with a truth's axes, by the signed permutation next to a matrix (3, 3)."""
+    nearest = max(_LEFT_HANDED, key=lambda m: float(np.sum(m * right_from_left)))
+    if np.array_equal(np.abs(nearest), np.eye(3)) and np.trace(nearest) == 1:
+        flipped = AXES[int(np.argmin(np.diag(nearest)))]
+        turns = " and ".join(f"q{axis}" for axis in AXES if axis != flipped)
+        return f"its {flipped} axis points the other way: negate {flipped}, {turns}"
+    order, signs = np.abs(nearest).argmax(axis=1), nearest.sum(axis=1)
+    named = ", ".join(f"{'-' if s < 0 else ''}{AXES[k]}" for k, s in zip(order, signs, strict=True))
+    return f"take its {named} for x, y, z, and the quaternion's, all negated"
+
+
+def _fits(run: Run, truth: Trajectory) -> list[tuple[float, float, Floats, _Problem]]:
+    """What is left, offset, parameters and problem of the offsets that fit best, from the best."""
     times = run.times_s[run.has_pose]
     few = np.unique(np.linspace(0, len(times) - 1, min(len(times), SPREAD_OVER)).astype(int))
     if not len(times):
@@ -76,20 +155,7 @@ def align_truth(run: Run, truth: Trajectory) -> tuple[Trajectory, TruthOffset]:
             x = problem.solved(problem.start(lags[k]), _FEW_STEPS).x
             fits.append((problem.left(x), float(x[0]), x, problem))
     fits.sort(key=lambda fit: fit[0])
-    if not fits or fits[0][0] > _MAX_LEFT:
-        raise RunError(
-            f"no offset makes {truth.source} move as {run.path} does: does the body move, and is "
-            "it the truth of this run, of this body, and in mm?"
-        )
-    least, offset_s, x, problem = fits[0]
-    for left, rival_s, *_ in fits[1:]:
-        if abs(rival_s - offset_s) > _APART_S and left < CLEAR_RATIO * least:
-            raise RunError(
-                f"the motion fits offsets of the truth's clock of {offset_s:.2f} s and "
-                f"{rival_s:.2f} s alike, as it repeats itself or is too short: shift the truth's "
-                "times yourself"
-            )
-    return problem.moved(x)
+    return fits
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +201,8 @@ class _Problem:
             fit = self.solved(fit.x[:1])
         sd_s = _first_sd(np.asarray(fit.jac), fit.fun)
         offset = TruthOffset(float(fit.x[0]), sd_s, fitted, shift, turn)
-        return Trajectory(self.truth.times_s + fit.x[0], moved, self.truth.source), offset
+        times_s = self.truth.times_s + fit.x[0]
+        return replace(self.truth, times_s=times_s, world_from_body=moved), offset
 
     def left(self, x: Floats) -> float:
         """RMS of the residuals as a share of the motion."""

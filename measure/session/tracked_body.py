@@ -23,7 +23,7 @@ class TrackedBody:
     times: list[int]  # columns of the time, and
     units_s: list[float]  # their units in s
     turns: list[int]  # columns of the rotation
-    # makes quaternions (n, 4) of them; of length 0 where they are no rotation.
+    # makes quaternions (n, 4) of them; zeros of zeros, NaN of what is no rotation.
     quat_wxyz: Callable[[Floats], Floats]
     places: list[int]  # first column of x y z
     unit_mm: float = 1.0  # of these
@@ -32,7 +32,7 @@ class TrackedBody:
     def read(self, path: Path, error: type[MeasureError]) -> tuple[Floats, list[int]]:
         """Rows (n, 8) of time in s, position in mm, quaternion w x y z; and their lines.
 
-        Rows in which a cell is empty, or that say so, are passed over: the body was not seen.
+        Rows in which a cell is empty are passed over: the body was not seen.
         `error`: a cell is no number.
         """
         out, lines = [], list[int]()
@@ -46,10 +46,6 @@ class TrackedBody:
                     raise error(f"{path}:{index}: not numbers: {','.join(cells)[:60]}") from None
                 lines.append(index)
         values, t = np.array(out).reshape(-1, len(columns)), len(self.times)
-        # Qualisys and Vicon write zeros for a body that is lost.
-        seen = np.any(values[:, t:] != 0, axis=1)
-        seen &= np.all(np.abs(values[:, t:]) < FARTHEST_MM, axis=1)
-        values, lines = values[seen], [line for line, s in zip(lines, seen, strict=True) if s]
         times = (values[:, :t] @ self.units_s)[:, None] - self.begin_s
         turned = self.quat_wxyz(values[:, t + 3 :]).reshape(-1, 4)
         return np.concatenate([times, self.unit_mm * values[:, t : t + 3], turned], axis=1), lines

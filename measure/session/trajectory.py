@@ -14,10 +14,14 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
 from measure.arrays import Bools, Floats
+from measure.bags import is_bag, split_topic
 from measure.errors import MeasureError, SessionError
 from measure.geometry import RigidTransform
-from measure.reading import read_text
+from measure.limits import CLEAR_RATIO
+from measure.neighbours import lacking
+from measure.reading import listed, read_text
 from measure.session.formats import able
+from measure.session.lost_body import lost_rows
 from measure.session.number_table import read_number_table
 from measure.session.tracked_body import TrackedBody
 
@@ -27,6 +31,9 @@ if TYPE_CHECKING:
 COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 MAX_GAP_PERIODS = 5.0
 """Between samples farther apart than this many median periods nothing is interpolated."""
+_UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_STEPS_S = 1e-4, 1.0
+"""Shortest and longest step from row to row that a tracker makes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +43,7 @@ class Trajectory:
     times_s: Floats  # (n,)
     world_from_body: RigidTransform  # a batch of n
     source: str = "trajectory"
+    notes: tuple[str, ...] = ()  # what to know of how it was read
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -99,22 +107,37 @@ class Trajectory:
 
 
 def read_trajectory(
-    path: Path | str, error: type[MeasureError] = SessionError, body: str | None = None
+    path: Path | str,
+    error: type[MeasureError] = SessionError,
+    body: str | None = None,
+    during_s: tuple[float, float] | None = None,
 ) -> Trajectory:
     """Read poses over time; `body` chooses one of several.
 
     Our CSV (`time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz`: truth.csv, poses.csv; rows without a pose are
     passed over; with a column `body` it holds several bodies), TUM (`time_s x y z qx qy qz qw`,
-    metres), or another program's file (`Format.read_truth`), told apart by content. `error`: the
-    file cannot be used; with file and line where a value is wrong or the time does not increase.
+    metres), or another program's file (`Format.read_truth`), told apart by content. Rows in which
+    a tracker had lost the body are left out, and noted.
+
+    Args:
+        path: the file, or `bag#topic`.
+        during_s: begin and end of what it is compared with: tells times in ms, us or ns, which is
+            noted.
+
+    Raises:
+        error: the file cannot be used; with file and line where a value is wrong or the time does
+            not increase.
     """
     path = Path(path)
-    text = read_text(path, error)
+    in_bag = is_bag(split_topic(path)[0])
+    text = "" if in_bag else read_text(path, error)
     bodies = _tracked(path, text, error)
     first = next((line for line in text.splitlines() if line.strip()), "")
     several = "body" in map(str.strip, re.split("[,;\t]", first))
     if bodies is not None:
         values, lines = bodies[_one_of(path, bodies, body, error)].read(path, error)
+    elif in_bag:
+        raise lacking("bags of ROS", "measure_formats")
     elif body is not None and not several:
         raise error(f"{path}: holds one body without a name, and no '{body}'")
     elif first.startswith("#") or ("," not in first and len(first.split()) == 8):
@@ -128,8 +151,8 @@ def read_trajectory(
                 path, dict.fromkeys(table.words["body"]), body, error
             )
             values, lines = values[mine], [lines[i] for i in np.flatnonzero(mine)]
-    here = np.flatnonzero(~np.isnan(values[:, 1:]).all(axis=1))
-    return _checked(path, values[here], [lines[i] for i in here], error)
+    here = np.flatnonzero(~np.isnan(values[:, 1:4]).all(axis=1))
+    return _checked(path, values[here], [lines[i] for i in here], during_s, error)
 
 
 def _tracked(path: Path, text: str, error: type[MeasureError]) -> Mapping[str, TrackedBody] | None:
@@ -166,9 +189,18 @@ def _read_tum(path: Path, error: type[MeasureError]) -> tuple[Floats, list[int]]
     return np.array(rows, dtype=np.float64).reshape(-1, 8), lines
 
 
-def _checked(path: Path, values: Floats, lines: list[int], error: type[MeasureError]) -> Trajectory:
+def _checked(
+    path: Path,
+    values: Floats,
+    lines: list[int],
+    during_s: tuple[float, float] | None,
+    error: type[MeasureError],
+) -> Trajectory:
+    """The poses in rows (n, 8), without those that are none; refused by `error`."""
     if not len(values):
         raise error(f"{path}: holds no pose")
+    for i in np.flatnonzero(np.isnan(values[:, 4:]).all(axis=1)):
+        raise error(f"{path}:{lines[i]}: not a rotation")
     for i in np.flatnonzero(~np.isfinite(values).all(axis=1)):
         raise error(f"{path}:{lines[i]}: a value is missing or not finite")
     for i in np.flatnonzero(np.diff(values[:, 0]) <= 0):
@@ -176,10 +208,68 @@ def _checked(path: Path, values: Floats, lines: list[int], error: type[MeasureEr
             f"{path}:{lines[i + 1]}: time does not increase, from {values[i, 0]:.6f} s to "
             f"{values[i + 1, 0]:.6f} s"
         )
+    unit, notes = "s", list[str]()
+    if during_s is not None:
+        unit = _unit_of_times(path, values[:, 0], during_s, error)
+    if unit != "s":
+        notes.append(
+            f"{path}: its times are {np.mean(np.diff(values[:, 0])):.4g} apart: they are taken "
+            f"for {unit}"
+        )
+        values = np.column_stack([values[:, 0] * _UNITS_S[unit], values[:, 1:]])
+    lost = lost_rows(values)
+    gone = np.any(list(lost.values()), axis=0) if lost else np.zeros(len(values), bool)
+    if gone.all():
+        raise error(f"{path}: holds no pose: all rows hold {' or '.join(lost)}")
+    if lost:
+        notes.append(_of_lost(path, values[:, 0], lost, gone))
+    values, lines = values[~gone], [lines[i] for i in np.flatnonzero(~gone)]
     lengths = np.linalg.norm(values[:, 4:], axis=1)
     for i in np.flatnonzero(np.abs(lengths - 1) > 1e-2):
         raise error(
             f"{path}:{lines[i]}: not a rotation: the quaternion's length is {lengths[i]:.4g}, not 1"
         )
     poses = RigidTransform.from_quat_wxyz(values[:, 4:], values[:, 1:4])
-    return Trajectory(values[:, 0], poses, str(path))
+    return Trajectory(values[:, 0], poses, str(path), tuple(notes))
+
+
+def _unit_of_times(
+    path: Path, times: Floats, during_s: tuple[float, float], error: type[MeasureError]
+) -> str:
+    """Which unit the times are in: that which gives the most time together, or else of one length.
+
+    Seconds unless rows would be farther apart than of any tracker.
+    """
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    if step <= _STEPS_S[1]:
+        return "s"
+    begin, end = during_s
+    together, alike = dict[str, float](), dict[str, float]()
+    for unit, unit_s in _UNITS_S.items():
+        if unit == "s" or _STEPS_S[0] <= step * unit_s <= _STEPS_S[1]:
+            first, last = times[0] * unit_s, times[-1] * unit_s
+            both = max(min(last, end) - max(first, begin), 0.0)
+            together[unit] = both / (max(last, end) - min(first, begin))
+            lengths = sorted((last - first, end - begin))
+            alike[unit] = lengths[0] / lengths[1]
+    scores = together if any(together.values()) else alike
+    best, *others = sorted(scores, key=lambda unit: -scores[unit])
+    if others and scores[best] < CLEAR_RATIO * scores[others[0]]:
+        raise error(
+            f"{path}: its times are {step:.4g} apart: in {best} or in {others[0]}? Write seconds"
+        )
+    return best
+
+
+def _of_lost(path: Path, times_s: Floats, lost: Mapping[str, Bools], gone: Bools) -> str:
+    """How many rows are left out, why, and when they were; in words."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], gone, [False]]).astype(int)))
+    spans = [
+        f"{times_s[a]:.3f} s" if a + 1 == b else f"{times_s[a]:.3f} to {times_s[b - 1]:.3f} s"
+        for a, b in edges.reshape(-1, 2)
+    ]
+    holding = " and ".join(f"{rows.sum()} hold {what}" for what, rows in lost.items())
+    return (
+        f"{path}: {gone.sum()} of {len(gone)} rows ({100 * gone.mean():.0f} %) are left out, as "
+        f"their tracker had lost the body: {holding} ({listed(spans)})"
+    )

@@ -175,11 +175,14 @@ def _of_turn(turn: Callable[[Floats], Rotation], values: Floats) -> Floats:
 
 
 def _of_columns(values: Floats) -> Floats:
-    rotations = np.swapaxes(values.reshape(-1, 3, 3), 1, 2)
+    rotations = np.swapaxes(values.reshape(-1, 3, 3), 1, 2).copy()
     off = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0)
     good = (off < 1e-3) & (np.linalg.det(rotations) > 0)
     rotations[~good] = np.eye(3)
-    return Rotation.from_matrix(rotations).as_quat(scalar_first=True) * good[:, None]
+    quaternions = Rotation.from_matrix(rotations).as_quat(scalar_first=True)
+    quaternions[~good] = np.nan
+    quaternions[~values.any(axis=1)] = 0  # Of a body that is lost
+    return quaternions
 
 
 TRACKERS = Format(

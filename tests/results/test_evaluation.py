@@ -12,6 +12,7 @@ from measure.geometry import RigidTransform
 from measure.measuring import Measurement
 from measure.model import Camera
 from measure.results import Run, RunEvaluation, evaluate
+from measure.results.evaluation import evaluation_tables
 from measure.session import read_trajectory
 from tests.results.conftest import CAMERAS, PERIOD_S, measurement, write_truth, written
 
@@ -192,6 +193,61 @@ def test_a_wrong_truth_is_refused(tmp_path: Path) -> None:
     _change(path, lambda r: [r[0], *(v + 100 for v in r[1:4]), *r[4:]])
     found = evaluate(run, read_trajectory(path))
     assert any("is this the truth of this session?" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("axes", "cure"),
+    [
+        ([1, -2, 3], "its y axis points the other way: negate y, qx and qz"),
+        ([1, 3, 2], "take its x, z, y for x, y, z"),
+    ],
+)
+def test_a_left_handed_truth_is_named_and_compared_as_it_stands(
+    tmp_path: Path, axes: list[int], cure: str
+) -> None:
+    run = _run(tmp_path / "run", measurement)
+    path = write_truth(tmp_path / "truth.csv", COUNT * PERIOD_S)
+    assert not [n for n in evaluate(run, read_trajectory(path)).notes if "left-handed" in n]
+
+    def mirror(row: list[float]) -> list[float]:
+        place = [math.copysign(1, k) * row[abs(k)] for k in axes]
+        turn = [-math.copysign(1, k) * row[4 + abs(k)] for k in axes]
+        return [row[0], *place, row[4], *turn]
+
+    _change(path, mirror)
+    found = evaluate(run, read_trajectory(path))
+    (note,) = [n for n in found.notes if "left-handed" in n]
+    assert cure in note
+    assert found.body.median_3d_mm > 1
+    with pytest.raises(RunError, match=f"left-handed.*{cure}"):
+        evaluate(run, read_trajectory(path), find_offset=True)
+
+
+def test_a_run_between_two_rows_of_the_truth_is_no_comparison(tmp_path: Path) -> None:
+    run = _run(tmp_path / "run", measurement)
+    path = write_truth(tmp_path / "truth.csv", COUNT * PERIOD_S)
+    _change(path, lambda r: [300 * r[0] - 1, 10 * r[1], *r[2:]])
+    with pytest.raises(RunError, match=r"lies between \d rows of .* are 1.25 s apart: that is no"):
+        evaluate(run, read_trajectory(path))
+    _change(path, lambda r: [r[0], 20.0, 30.0, 200.0, 1.0, 0.0, 0.0, 0.0])  # a body that rests
+    assert evaluate(run, read_trajectory(path)).compared == COUNT
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(1.0, "alike"), (3.0, "3 times: on the safe side"), (0.5, "0.5 times: too small")],
+)
+def test_stated_deviations_against_errors_are_put_in_words(
+    tmp_path: Path, factor: float, words: str
+) -> None:
+    rng = np.random.default_rng(2)
+    sd = np.sqrt(np.diag(measurement(0).pose.covariance))
+    errors = rng.normal(size=(COUNT, 6))
+    errors *= sd / factor / np.sqrt(np.mean(errors[:, :3] ** 2))
+    found = _evaluate(tmp_path, lambda i: measurement(i, errors[i]))
+    (table,) = [t for t in evaluation_tables(found) if t.title.startswith("Do the reported")]
+    (row,) = [r for r in table.rows if r[0] == "body position"]
+    assert row[-1] == words
 
 
 def test_frames_beyond_the_truth_are_left_out_and_counted(tmp_path: Path) -> None:

@@ -135,10 +135,7 @@ def test_of_several_bodies_one_must_be_named(tmp_path, name):
         ),
         (motive().replace("0,0.000000,", "0,0.000000,x"), ":8: not numbers: 0.000000,"),
         (vicon().replace("\n100\n", "\nfast\n"), "could not convert string to float: 'fast'"),
-        (
-            qualisys().replace("1\t0.00000\t", "1\t0.00000\t1\t"),
-            ":7: not a rotation: the quaternion's length is 0",
-        ),
+        (qualisys().replace("1\t0.00000\t", "1\t0.00000\t1\t"), ":7: not a rotation"),
     ],
     ids=["unit", "no body", "quaternion", "no number", "rate", "matrix"],
 )

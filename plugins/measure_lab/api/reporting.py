@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 
 from measure.api.outputs import output
 from measure.api.results import chosen_runs, own_name, truth_of
+from measure.arrays import Floats
 from measure.errors import MeasureError, RunError
 from measure.results import Run
 from measure.results.evaluation import pose_errors
@@ -40,11 +41,13 @@ def report(
     path = out or run_path / "report.html"
     with output(path, overwrite) as page:
         runs = chosen_runs(run_path, body)
-        errors = []
+        errors = list[Floats | None]()
         for run in runs:
             file = (truth or truth_of(run)) if run.poses.num_rows else None
-            true = None if file is None else read_trajectory(file, RunError, own_name(run))
-            errors.append(None if true is None else pose_errors(run, true))
+            errors.append(None)
+            if file is not None:
+                true = read_trajectory(file, RunError, own_name(run), run.span_s)
+                errors[-1] = pose_errors(run, true)
         picture, axes = _picture(runs), "the cameras' world"
         if frame is not None:
             base_from_world, axes = read_robot_base(frame).inverse(), "the robot's base"
