@@ -14,7 +14,6 @@ from measure.api.run_log import LogOptions, RunLog
 from measure.checking import ColorlessCount
 from measure.checking.pictures import stamp_causes
 from measure.errors import ConfigError, MeasureError
-from measure.estimation.expected_accuracy import WORLD_SCALE_SD
 from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Measurement, Profile
@@ -143,6 +142,7 @@ def provenance(
     session_digest: str,
     session_name: str,
     notes: tuple[str, ...],
+    scale_sd: float,
 ) -> Provenance:
     """Everything that a run with this profile is made from; see `Provenance`."""
     loaded = {
@@ -159,7 +159,7 @@ def provenance(
         plugins={stage: f"{one.name} of {one.distribution}" for stage, one in loaded.items()},
         notes=notes,
         session_name=session_name,
-        scale_sd=WORLD_SCALE_SD,
+        scale_sd=scale_sd,
     )
 
 
@@ -179,6 +179,7 @@ def _made_from(session: Session, profile: Profile, registry: Registry) -> Proven
             *session.clock_notes([cause.of for cause in causes]),
             *_without_color(session),
         ),
+        scale_sd=session.scale_sd,
     )
 
 

@@ -12,7 +12,7 @@ from measure.arrays import Floats
 from measure.checking.causes import Cause, Word
 from measure.checking.finding import Finding, Level
 from measure.checking.search import SearchSample
-from measure.estimation.expected_accuracy import noise_sd, scale_sd, tolerance_sd
+from measure.estimation.expected_accuracy import noise_sd, tolerance_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 
@@ -93,7 +93,7 @@ def expected_accuracy(
     """Standard deviations (27, 5) to expect of the pose around a place, with every ball in sight.
 
     Columns are x, y, z in mm, and the deviations of the position in mm and of the rotation in deg;
-    NaN where too few cameras see the body.
+    NaN where too few cameras see the body. The world's scale is not in them.
 
     Args:
         middle: a pose in the middle of the workspace.
@@ -105,7 +105,7 @@ def expected_accuracy(
         pose = RigidTransform(middle.rotation, middle.translation + reach_mm * offset)
         by_noise = noise_sd(pose, body, cameras, noise_px)
         position, rotation = np.hypot(by_noise, tolerance_sd(body, pose))
-        rows.append([*pose.translation, np.hypot(position, scale_sd(pose)), rotation])
+        rows.append([*pose.translation, position, rotation])
     return np.array(rows)
 
 

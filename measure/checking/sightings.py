@@ -113,7 +113,7 @@ def _steady(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> tuple[
     weights = times_s - times_s.mean()
     weights /= weights @ weights
     steps = np.stack([k.world_from_body.difference(pose.world_from_body) for k in knots])
-    noise = np.einsum("k,kij->ij", weights**2, np.stack([k.own_covariance for k in knots]))
+    noise = np.einsum("k,kij->ij", weights**2, np.stack([k.covariance for k in knots]))
     return weights @ steps, noise
 
 

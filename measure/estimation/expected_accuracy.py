@@ -17,10 +17,6 @@ from measure.geometry import RigidTransform, chart_jacobian
 from measure.limits import SINGULAR
 from measure.model import Body, Camera, Detection
 
-WORLD_SCALE_SD = 6e-4
-"""Share by which the world may be larger or smaller than its calibration says, always: no recording
-of balls 76 mm apart shows less (docs/explanation/uncertainty.md)."""
-
 
 def noise_sd(
     pose: RigidTransform, body: Body, cameras: Sequence[Camera], noise_px: float
@@ -72,11 +68,6 @@ def tolerance_covariance(
 def tolerance_sd(body: Body, world_from_body: RigidTransform) -> tuple[float, float]:
     """Standard deviations of position (3-D, mm) and rotation (deg) from all balls' tolerance."""
     return _mm_and_deg(tolerance_covariance(body, world_from_body, body.names))
-
-
-def scale_sd(world_from_body: RigidTransform) -> float:
-    """Standard deviation of the position (3-D, mm) from the world's scale."""
-    return WORLD_SCALE_SD * float(np.linalg.norm(world_from_body.translation))
 
 
 def body_pose_sd(

@@ -8,23 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from measure.estimation.expected_accuracy import WORLD_SCALE_SD
 from measure.limits import SIGNIFICANT_SIGMAS
 from measure.measuring.measurement import Measurement
 from measure.model import BallPosition, Body, Pose
 from measure.model.observations import stacked_positions
 
 _MEMORY_FRAME_SETS = 300
-_EXCESS_SIGMAS = 2.0
-"""A factor further from 1 is taken for an error of scale, beside the one always allowed."""
 
 
 class ScaleMonitor:
-    """Follows the factor from one frame set to the next, and states it in the poses.
+    """Follows the factor from one frame set to the next, and flags poses where it is not 1.
 
     The errors of neighbouring frame sets are alike, so the factor's standard deviation is that of
     one frame set: it does not fall with their number.
@@ -35,7 +31,7 @@ class ScaleMonitor:
         self._weight = self._weighted = self._count = 0.0
 
     def judged(self, measured: Measurement) -> Measurement:
-        """The measurement with what the factor means for its pose; frame sets come in order.
+        """The measurement, flagged if the factor is not 1; frame sets come in order.
 
         Poses with flags do not count towards the factor: their balls may be others.
         """
@@ -45,9 +41,8 @@ class ScaleMonitor:
         if not pose.flags:
             self._take(pose, measured.positions)
         if not self._weight:
-            return replace(measured, pose=with_scale(pose, WORLD_SCALE_SD))
+            return measured
         off, sd = self._weighted / self._weight, math.sqrt(self._count / self._weight)
-        measured = replace(measured, pose=with_scale(pose, _unknown_scale(off, sd)))
         if abs(off) <= SIGNIFICANT_SIGMAS * sd:
             return measured
         flag = (
@@ -66,24 +61,6 @@ class ScaleMonitor:
         self._count = keep * self._count + 1
         self._weight = keep * self._weight + 1 / variance
         self._weighted = keep * self._weighted + off / variance
-
-
-def _unknown_scale(off: float, sd: float) -> float:
-    """How far the world's scale may be off: what is never seen, and what the balls show of it."""
-    seen = max(off**2 - (_EXCESS_SIGMAS * sd) ** 2, 0.0)
-    return math.sqrt(WORLD_SCALE_SD**2 + seen)
-
-
-def with_scale(pose: Pose, share: float) -> Pose:
-    """The pose, all distances from the world's origin uncertain by a share, which all poses have.
-
-    Its covariance grows along the line to the origin alone, so that of poses near each other, which
-    are displaced alike, the difference stays as certain as it was (`Pose.scale_sd`).
-    """
-    place = pose.world_from_body.translation
-    covariance = pose.covariance.copy()
-    covariance[:3, :3] += share**2 * np.outer(place, place)
-    return replace(pose, covariance=covariance, scale_sd=share)
 
 
 def _relative_scale(

@@ -79,7 +79,7 @@ def motion_at(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> Spli
     curve = CubicSpline(lead_s, np.hstack([places, np.eye(len(knots))]))
     slope = curve(0.0, 1)
     weights = slope[6:]
-    noise = np.einsum("k,kab->ab", weights**2, stacked([knot.own_covariance for knot in knots]))
+    noise = np.einsum("k,kab->ab", weights**2, stacked([knot.covariance for knot in knots]))
     difference = (weights - _polynomial_weights(lead_s)) @ places
     return SplineMotion(
         pose.world_from_body,

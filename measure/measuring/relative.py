@@ -107,7 +107,5 @@ def _joint_covariance(one: Pose, other: Pose, cameras: Sequence[Camera]) -> Floa
     for camera in cameras:
         if camera.covariance is not None and camera.name in mine and camera.name in its:
             out[:6, 6:] += mine[camera.name] @ camera.covariance @ its[camera.name].T
-    places = (each.world_from_body.translation for each in (one, other))
-    out[:3, 6:9] += one.scale_sd * other.scale_sd * np.outer(*places)
     out[6:, :6] = out[:6, 6:].T
     return out

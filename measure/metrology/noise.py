@@ -168,7 +168,7 @@ def smooth_motion(poses: PoseTable, shared: SharedErrors, seconds: float) -> Smo
     n = len(poses)
     windows = [_window(poses, k, seconds) for k in range(n)]
     scatter = _noise_share(poses, seconds)
-    factors = shared.factors(poses)
+    factors = shared.factors(poses)[:, :, :-1]
     known = factors @ np.swapaxes(factors, 1, 2)
     light = alike_part(scatter, poses.covariances, known)
     roots = square_root(light)

@@ -56,11 +56,12 @@ class SharedErrors:
 
     cameras: Sequence[Camera]  # as used, with their covariances
     body: Body  # as used, with its tolerance
-    scale_sd: float = 0.0  # of the world, as in the poses' covariances (`Pose.scale_sd`)
+    scale_sd: float = 0.0  # of the world; the poses' own covariances are without it
 
     def factors(self, poses: PoseTable) -> Floats:
         """How n poses (n, 6, k) move by k unknowns of unit variance: of cameras, body and scale.
 
+        The scale is the last; the others are in the poses' covariances.
         Two poses share the covariance `factors[i] @ factors[j].T`. Where that is far more than is
         stated of them, the poses were not measured with these cameras: they share none of it.
         """
@@ -106,8 +107,9 @@ class SharedErrors:
         """
         factors = self.factors(poses)
         known = np.einsum("nma,nak->mk", gains, factors)
+        in_stated = factors[:, :, :-1]
         scatter = self._noise_share(scatter, poses.world_from_body)
-        light = alike_part(scatter, poses.covariances, factors @ np.swapaxes(factors, 1, 2))
+        light = alike_part(scatter, poses.covariances, in_stated @ np.swapaxes(in_stated, 1, 2))
         by_light = gains @ square_root(light)
         whole, n = by_light.sum(axis=0), len(poses)
         near = np.zeros((gains.shape[1],) * 2)

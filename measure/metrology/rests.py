@@ -218,7 +218,7 @@ def _averaged(poses: PoseTable, shared: SharedErrors) -> Rest:
     pose = centre.perturb(mean)
     (factors,) = shared.factors(_table([pose], [stated]))
     share = float(scatter_share(off, stated, len(off) / independent))
-    light = alike_part(share, stated, factors @ factors.T)
+    light = alike_part(share, stated, factors[:, :-1] @ factors[:, :-1].T)
     first, last = poses.times_s[used][[0, -1]].tolist()
     noise = scatter / independent
     return Rest(first, last, len(off), independent, pose, stated, scatter, noise, light)

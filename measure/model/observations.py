@@ -115,7 +115,8 @@ class Pose:
 
     time_s: float  # the instant it holds for
     world_from_body: RigidTransform  # the pose
-    # (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the world.
+    # (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the world. The world's
+    # scale, which all poses share, is not in it: see `Calibration.scale_sd`.
     covariance: Floats
     residual_mm: float  # RMS distance between positions and the body's balls, NaN if not applicable
     rms_px: float  # RMS reprojection error, of a moving body at the time of each image
@@ -125,17 +126,6 @@ class Pose:
     # by name, derivatives (6, 18) of the pose by a camera's pose and intrinsics (see
     # `Camera.covariance`), of which `covariance` holds the share; None if not known.
     by_camera: Mapping[str, Floats] | None = None
-    # share by which all distances from the world's origin may be off, which `covariance` holds.
-    scale_sd: float = 0.0
-
-    @property
-    def own_covariance(self) -> Floats:
-        """The covariance (6, 6) without the scale of the world, which all poses share."""
-        if not self.scale_sd:
-            return self.covariance
-        out, place = self.covariance.copy(), self.world_from_body.translation
-        out[:3, :3] -= self.scale_sd**2 * np.outer(place, place)
-        return out
 
     @property
     def position_sd_mm(self) -> float:

@@ -62,6 +62,8 @@ class RunEvaluation:
     balls: dict[str, PositionErrors | None]  # the same, by ball
     rotation: RotationErrors | None  # errors of the body's rotation
     position_consistency: Consistency | None  # of the positions with their covariances
+    # the same, with the uncertainty of the world's scale added to the covariances.
+    scaled_consistency: Consistency | None
     pose_consistency: Consistency | None  # of the whole poses with their 6x6 covariances
     ball_consistency: Consistency | None  # of the single balls
     aligned: Aligned | None  # errors relative to the best rigid motion of the world
@@ -95,6 +97,7 @@ def evaluate(
     measured, true = _pairs(run, truth, here)
     errors = measured.difference(true)
     covariances = run.covariances[here[run.has_pose]]
+    by_scale = run.scale_sd**2 * np.einsum("ni,nj->nij", *[measured.translation] * 2)
     missing = int((covered & ~run.has_pose).sum())
     ball_names, ball_errors, ball_covariances = _ball_errors(run, truth)
     body = position_errors(errors[:, :3])
@@ -112,6 +115,7 @@ def evaluate(
         balls={n: position_errors(ball_errors[ball_names == n]) for n in run.body.names},
         rotation=rotation_errors(errors[:, 3:]),
         position_consistency=consistency(errors[:, :3], covariances[:, :3, :3]),
+        scaled_consistency=consistency(errors[:, :3], covariances[:, :3, :3] + by_scale),
         pose_consistency=consistency(errors, covariances),
         ball_consistency=consistency(ball_errors, ball_covariances),
         aligned=_aligned(run, measured, true),
@@ -370,6 +374,7 @@ def _consistency(found: RunEvaluation) -> TextTable:
     kinds: tuple[tuple[str, Consistency | None], ...] = (
         ("ball position", found.ball_consistency),
         ("body position", found.position_consistency),
+        ("body position, with the world's scale", found.scaled_consistency),
         ("body pose, 6-D", found.pose_consistency),
     )
     rows: list[tuple[Cell, ...]] = [

@@ -72,8 +72,7 @@ def noise_about(run: Run, errors: Floats) -> Noise | None:
 
 def shared_errors(run: Run) -> SharedErrors:
     """What the poses of a run err by together, by its calibration and body file."""
-    scale_sd = float(run.provenance.get("calibration", {}).get("scale_sd", 0.0))
-    return SharedErrors(run.cameras, run.body, scale_sd)
+    return SharedErrors(run.cameras, run.body, run.scale_sd)
 
 
 def smooth_run(run: Run, smooth_s: float | None) -> tuple[Run, Velocities]:

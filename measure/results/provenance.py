@@ -36,7 +36,7 @@ class Provenance:
     plugins: Mapping[str, str]  # by stage, "NAME of DISTRIBUTION VERSION"
     notes: tuple[str, ...] = ()  # what the session left to be known: missing pictures and the like
     session_name: str = ""  # what the session is called; empty if not known
-    scale_sd: float = 0.0  # of the world, as in the covariances of all poses (`Pose.scale_sd`)
+    scale_sd: float = 0.0  # of the world: see `Calibration`; the poses' covariances are without it
 
     def values(self) -> dict[str, Any]:
         """As written to `run.toml`."""

@@ -56,7 +56,7 @@ class Run:
         about = rig_notes(
             self.body, self.cameras, self.distances, self.detections, self.poses, notes
         )
-        return summarise(self.detections, self.poses, notes, about)
+        return summarise(self.detections, self.poses, notes, about, self.scale_sd)
 
     @cached_property
     def distances(self) -> list[BallDistance]:
@@ -68,6 +68,11 @@ class Run:
         """The session measured: its file, or the folder of `session.toml`; None if it is gone."""
         path = self.provenance.get("session", {}).get("path")
         return Path(path) if path and Path(path).exists() else None
+
+    @property
+    def scale_sd(self) -> float:
+        """Standard deviation of the world's scale, which no pose's covariance holds."""
+        return float(self.provenance.get("calibration", {}).get("scale_sd", 0.0))
 
     @property
     def contradictions(self) -> tuple[str, ...]:

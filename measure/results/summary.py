@@ -46,6 +46,9 @@ class Summary:
     position_sd_mm: float
     rotation_sd_deg: float  # likewise of the rotation
     rms_px: float  # likewise the median reprojection error
+    scale_sd: float  # standard deviation of the world's scale, which `position_sd_mm` is without
+    # what that makes of the median distance from the world's origin.
+    scale_sd_mm: float
     # share of frame sets in which a camera saw a ball effectively, by "ball@camera".
     effective: dict[str, float]
     suspended: dict[str, int]  # how often each reason suspended a view
@@ -74,7 +77,16 @@ class Summary:
             return f"{text}; no position is known"
         return (
             f"{text}; position known to {self.position_sd_mm:.2g} mm, rotation to "
-            f"{self.rotation_sd_deg:.2g} deg (median standard deviation)"
+            f"{self.rotation_sd_deg:.2g} deg within this rig (median standard deviation)"
+            + self._scale()
+        )
+
+    def _scale(self) -> str:
+        if not self.scale_sd:
+            return ""
+        return (
+            f"; its scale is known to {100 * self.scale_sd:.2g} %, {self.scale_sd_mm:.2g} mm at "
+            "the body"
         )
 
     def values(self) -> dict[str, Any]:
@@ -90,7 +102,11 @@ class Summary:
 
 
 def summarise(
-    detections: pa.Table, poses: pa.Table, notes: Sequence[str] = (), rig_notes: Sequence[str] = ()
+    detections: pa.Table,
+    poses: pa.Table,
+    notes: Sequence[str] = (),
+    rig_notes: Sequence[str] = (),
+    scale_sd: float = 0.0,
 ) -> Summary:
     """Count and average the tables of a run; notes are the session's, and on the rig."""
     statuses = Counter(poses["status"].to_pylist())
@@ -116,6 +132,8 @@ def summarise(
         position_sd_mm=_median(unflagged["position_sd_mm"]),
         rotation_sd_deg=_median(unflagged["rotation_sd_deg"]),
         rms_px=_median(unflagged["rms_px"]),
+        scale_sd=scale_sd,
+        scale_sd_mm=scale_sd * _median_distance(unflagged) if scale_sd else 0.0,
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=counted(given, names),
@@ -143,6 +161,8 @@ def together(bodies: Mapping[str, Summary], poses: pa.Table) -> Summary:
         position_sd_mm=float(np.max([one.position_sd_mm for one in bodies.values()])),
         rotation_sd_deg=float(np.max([one.rotation_sd_deg for one in bodies.values()])),
         rms_px=float(np.max([one.rms_px for one in bodies.values()])),
+        scale_sd=float(np.max([one.scale_sd for one in bodies.values()])),
+        scale_sd_mm=float(np.max([one.scale_sd_mm for one in bodies.values()])),
         effective=named("effective"),
         suspended=named("suspended"),
         reasons=named("reasons"),
@@ -178,6 +198,12 @@ def _idle(suspended: pa.Table, used: set[str]) -> tuple[str, ...]:
         for name, reason in main.items()
         if used and name not in used
     )
+
+
+def _median_distance(poses: pa.Table) -> float:
+    """Median distance, in mm, of poses from the world's origin."""
+    place = np.stack([poses[f"{axis}_mm"].to_numpy() for axis in "xyz"], axis=1)
+    return float(np.median(np.linalg.norm(place, axis=1))) if len(place) else float("nan")
 
 
 def _median(column: pa.ChunkedArray) -> float:

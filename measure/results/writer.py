@@ -221,7 +221,7 @@ class RunWriter:
             with replacing(self._folder / "bodies.toml") as file:
                 write_bodies(file, self._bodies)
         with replacing(self._folder / "calibration.toml") as file:
-            write_calibration(file, Calibration(self._cameras))
+            write_calibration(file, Calibration(self._cameras, scale_sd=self._provenance.scale_sd))
 
     def _open_files(self) -> None:
         kept, self._tables = self._tables, {}

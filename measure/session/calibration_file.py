@@ -29,6 +29,9 @@ Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Row = list[FiniteFloat]
 NO_CAMERA_MATRIX = "not a camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
 LONGEST_READOUT_S = 0.2
+UNSTATED_SCALE_SD = 6e-4
+"""Standard deviation of the world's scale where a calibration states none: balls 76 mm apart show
+no less (docs/explanation/uncertainty.md)."""
 UNIT_TOLERANCE = 1e-3  # How far the length of a written quaternion may be from 1
 
 
@@ -39,6 +42,8 @@ class Calibration:
     cameras: tuple[Camera, ...]
     # where it comes from: program, version, date, capture, judgement; free.
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    # standard deviation of the factor by which all distances from the world's origin may be off.
+    scale_sd: float = UNSTATED_SCALE_SD
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -142,18 +147,21 @@ class CalibrationModel(FileModel):
     """A whole `calibration.toml`."""
 
     cameras: Annotated[list[CameraModel], Field(min_length=1)]
+    scale_sd: Annotated[FiniteFloat, Field(ge=0, lt=1)] = UNSTATED_SCALE_SD
     provenance: Annotated[dict[str, Any], Field(default_factory=dict)]
 
 
 def read_own_calibration(path: Path) -> Calibration:
     """Read our own format; CalibrationError with file, line and key where it cannot be used."""
     given = load_toml(path, CalibrationModel, CalibrationError)
-    return Calibration(tuple(camera.camera() for camera in given.cameras), given.provenance)
+    cameras = tuple(camera.camera() for camera in given.cameras)
+    return Calibration(cameras, given.provenance, given.scale_sd)
 
 
 def write_own_calibration(path: Path, calibration: Calibration) -> None:
     """Write `calibration.toml`; `read_calibration` gives back the same numbers."""
     values = {
+        "scale_sd": calibration.scale_sd,
         "cameras": [_camera_values(camera) for camera in calibration.cameras],
         "provenance": dict(calibration.provenance) or None,
     }

@@ -186,6 +186,7 @@ def open_session(
         other_bodies=bodies[1:],
         reference=relative_to,
         cameras=calibration_read.cameras,
+        scale_sd=calibration_read.scale_sd,
         streams=streams,
         calibration_path=calibration_path,
         truth_path=_optional(folder, given.session.truth, file),

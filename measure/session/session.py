@@ -17,6 +17,7 @@ from measure.arrays import Bools, Floats, Ints
 from measure.errors import SessionError
 from measure.limits import GAP_PERIODS
 from measure.model import Body, Camera, FrameSet, Image
+from measure.session.calibration_file import UNSTATED_SCALE_SD
 from measure.session.streams import Stream
 
 
@@ -141,6 +142,7 @@ class Session:
     clock_shifts_s: Mapping[str, float] = field(default_factory=dict)
     other_bodies: tuple[Body, ...] = ()  # what else is measured
     reference: str = ""  # the body that others are measured relative to
+    scale_sd: float = UNSTATED_SCALE_SD  # of the world: see `Calibration`
 
     def __enter__(self) -> Self:
         return self

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.estimation.expected_accuracy import body_pose_sd, noise_sd, scale_sd, tolerance_sd
+from measure.estimation.expected_accuracy import body_pose_sd, noise_sd, tolerance_sd
 from measure.geometry import RigidTransform
 from measure.limits import SPREAD_OVER
 from measure.results.run import Run
@@ -80,4 +80,4 @@ def _parts(pose: RigidTransform, run: Run) -> tuple[float, float]:
         return float("nan"), float("nan")
     from_cameras, _ = body_pose_sd(cameras, run.body, [pose])
     from_body, _ = tolerance_sd(run.body, pose)
-    return per_px, math.hypot(from_cameras[0], from_body, scale_sd(pose))
+    return per_px, math.hypot(from_cameras[0], from_body)

@@ -9,7 +9,6 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.geometry.covariance import chi_square_quantile
 from measure.results import Run
-from measure.results.pose_table import shared_errors
 from measure.results.statistics import consistency
 
 SUB_MM = 1.0  # A position known worse than this (95 %, mm) makes the verdict doubtful
@@ -33,7 +32,7 @@ def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
     # Median radius in mm that holds 95 % of a 3-D Gaussian, its longest axis taken all round
     longest = np.linalg.eigvalsh(run.covariances[unflagged[run.has_pose]][:, :3, :3])[:, -1]
     widest = float(np.median(np.sqrt(longest * chi_square_quantile(0.95, 3))))
-    parts = [f"Position known to {_digits(widest)} mm (95 %)", _who_carries(run)]
+    parts = [f"Position known to {_digits(widest)} mm (95 %) within this rig", _who_carries(run)]
     parts += _what_is_missing(run)
     tone, against = _against_truth(run, errors)
     tone = "doubtful" if summary.ok < summary.frame_sets or not run.finished else tone
@@ -97,7 +96,7 @@ def _not_counted(run: Run) -> list[str]:
     """What the uncertainty does not hold."""
     out = []
     if all(camera.pose_covariance is None for camera in run.cameras):
-        scale_sd = shared_errors(run).scale_sd
+        scale_sd = run.scale_sd
         but = f" but for the world's scale ({scale_sd:.2%})" if scale_sd else ""
         out.append(f"The calibration is taken as exact{but}: its file states no uncertainty.")
     if not run.body.tolerance_mm:

@@ -45,7 +45,7 @@ def _figures(page):
 
 def test_a_good_run_says_how_well_the_position_is_known(tmp_path):
     page = run_report([_run(tmp_path / "run", 40)], [np.full((40, 6), 0.01)])
-    assert "Position known to 0.028 mm (95 %), 2 of 2 cameras carry it." in page
+    assert "Position known to 0.028 mm (95 %) within this rig, 2 of 2 cameras carry it." in page
     assert 'class="verdict good"' in page
     for heading in ("Error against truth", "Trajectory", "Rotation and speed", "Ball distances"):
         assert f"<h2>{heading}</h2>" in page

@@ -10,7 +10,6 @@ from scipy.optimize import least_squares
 
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status, relative_measurement
-from measure.measuring.body_scale import with_scale
 from measure.model import BallView, Detection, Pose
 from measure.model.observations import State
 from tests.scenes import RAVEN, ring
@@ -70,15 +69,6 @@ def test_an_error_that_moves_both_as_one_thing_cancels(together, share):
     found = relative(*poses, (camera,)).pose.covariance
     alone = relative(poses[0], replace(poses[1], pose=replace(poses[1].pose, by_camera=None)))
     assert np.trace(found) == pytest.approx(share * np.trace(alone.pose.covariance), abs=1e-7)
-
-
-def test_the_scale_of_the_world_changes_what_lies_between_by_its_share():
-    own = np.diag([1e-3**2] * 3 + [1e-5**2] * 3)
-    poses = [measurement(place, own) for place in (HERE, THERE)]
-    scaled = [replace(m, pose=with_scale(m.pose, 0.002)) for m in poses]
-    between = np.linalg.norm(HERE.translation - THERE.translation)
-    found, before = (np.trace(relative(*m).pose.covariance[:3, :3]) for m in (scaled, poses))
-    assert np.sqrt(found - before) == pytest.approx(0.002 * between)
 
 
 def test_without_either_there_is_none_and_flags_say_whose():

@@ -50,6 +50,7 @@ def _poses(*rows: tuple[str, float]) -> pa.Table:
     """A status and a position's standard deviation each."""
     statuses, sds = zip(*rows, strict=True)
     numbers = {"position_sd_mm": sds, "rotation_sd_deg": sds, "rms_px": sds}
+    numbers |= dict.fromkeys(("x_mm", "y_mm"), [0.0] * len(rows)) | {"z_mm": [250.0] * len(rows)}
     return pa.table({"status": statuses, "reason": [""] * len(rows), **numbers})
 
 
@@ -62,6 +63,15 @@ def test_poses_to_doubt_make_no_position_known():
         "0 of 2 frame sets measured, 2 with a pose to doubt; no position is known"
     )
     assert none.values()["position_sd_mm"] is None
+
+
+def test_the_scale_of_the_rig_stands_beside_what_is_known_within_it():
+    summary = summarise(SEEN, _poses(("ok", 0.1)), scale_sd=0.001)
+    assert summary.sentence().endswith(
+        "position known to 0.1 mm, rotation to 0.1 deg within this rig (median standard deviation);"
+        " its scale is known to 0.1 %, 0.25 mm at the body"
+    )
+    assert (summary.values()["scale_sd"], summary.values()["scale_sd_mm"]) == (0.001, 0.25)
 
 
 def test_a_camera_that_took_part_in_no_pose_is_named():

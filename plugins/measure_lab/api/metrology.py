@@ -14,11 +14,10 @@ from measure.api import Measurement, board_frame
 from measure.api.folders import named_pictures
 from measure.arrays import Bytes, Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
-from measure.estimation.expected_accuracy import WORLD_SCALE_SD
 from measure.geometry import RigidTransform, UncertainTransform
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import SHORTEST_S, Rests, find_rests
-from measure.model import Body, Camera, Pose
+from measure.model import Body, Pose
 from measure.results import Run, read_run
 from measure.results.pose_table import poses_of, rests_of, shared_errors
 from measure.results.run import camera_in
@@ -47,8 +46,8 @@ def rests(run: Path | str, shortest_s: float = SHORTEST_S, body: str | None = No
 class RestsSoFar:
     """The rests of a body while it is measured, within the latest minutes."""
 
-    def __init__(self, body: Body, cameras: Sequence[Camera], poses: int = _LATEST) -> None:
-        self._shared = SharedErrors(tuple(cameras), body, WORLD_SCALE_SD)
+    def __init__(self, body: Body, calibration: Calibration, poses: int = _LATEST) -> None:
+        self._shared = SharedErrors(calibration.cameras, body, calibration.scale_sd)
         self._poses: deque[Pose] = deque(maxlen=poses)
 
     def add(self, measured: Measurement) -> None:
@@ -239,4 +238,5 @@ def _moved(given: Calibration, place: UncertainTransform, origin: str) -> Calibr
         "translation_mm": place.transform.translation,
         "covariance": place.covariance,
     }
-    return Calibration(tuple(camera_in(new_from_old, c) for c in given.cameras), notes)
+    cameras = tuple(camera_in(new_from_old, c) for c in given.cameras)
+    return Calibration(cameras, notes, given.scale_sd)

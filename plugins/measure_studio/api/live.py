@@ -107,7 +107,7 @@ def live(
         opened = stack.enter_context(recording.open_rig(prepared.sources, sent.cameras, options))
         rig = opened.cameras
         gathering = Gathering(list(rig.addresses), on_read=rig.note_read)
-        takers = [gathering.add, *_recorders(stack, opened, sent, options.record)]
+        takers = [gathering.add, *_recorders(stack, opened, prepared, options.record)]
         sending = stack.enter_context(prepared.sending)
         writer = stack.enter_context(_writer(out, prepared, options))
         writer.begin()
@@ -160,11 +160,13 @@ def _measured(
 
 
 def _recorders(
-    stack: ExitStack, opened: recording.OpenRig, sent: SentRun, folder: Path | None
+    stack: ExitStack, opened: recording.OpenRig, prepared: _Prepared, folder: Path | None
 ) -> Iterator[Callable[[Image], None]]:
     """What takes pictures to be recorded, if they are."""
     if folder is not None:
-        recorder = recording.new_recorder(folder, opened, sent.bodies, sent.cameras, sent.reference)
+        sent = prepared.sent
+        rig = Calibration(sent.cameras, scale_sd=prepared.made_from.scale_sd)
+        recorder = recording.new_recorder(folder, opened, sent.bodies, rig, sent.reference)
         yield stack.enter_context(recorder).add
 
 
@@ -193,13 +195,14 @@ def _prepare(
     _check_outputs(out, options, [one.name for one in cameras])
     if len(cameras) < 2:
         raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
-    calibrated = recording.calibrated_cameras(cameras, calibration)
+    known = recording.calibration_of(cameras, calibration)
+    calibrated = known.cameras
     measured = [read_body(body) for body in bodies]
     check_bodies(measured, options.reference, "--body")
     cure = 'write mm, or into another program\'s file its unit, as in unit = "m"'
-    check_unit(Calibration(tuple(calibrated)), measured[0], str(calibration), cure)
+    check_unit(known, measured[0], str(calibration), cure)
     profile = profile.model_copy(update={"smoothing": False})
-    sent = SentRun(out.resolve().name, tuple(measured), tuple(calibrated), options.reference)
+    sent = SentRun(out.resolve().name, tuple(measured), calibrated, options.reference)
     sending = open_sending(options, registry, sent)
     sources = recording.sources_of(cameras, calibrated, options.request)
     options.check_viewer()
@@ -209,11 +212,11 @@ def _prepare(
         sources,
         partial(build_pipeline, profile, registry),
         [warm_pipeline(profile, registry, body, calibrated) for body in measured],
-        _made_from(options, calibration, measured, profile, registry),
+        _made_from(options, known.scale_sd, calibration, measured, profile, registry),
     )
 
 
-def _made_from(options: LiveOptions, *known: Any) -> Provenance:
+def _made_from(options: LiveOptions, scale_sd: float, *known: Any) -> Provenance:
     record = None if options.record is None else options.record.resolve()
     return provenance(
         *known,
@@ -221,6 +224,7 @@ def _made_from(options: LiveOptions, *known: Any) -> Provenance:
         session_digest="",  # of pictures that are yet to come
         session_name="live" if record is None else record.name,
         notes=("measured live",),
+        scale_sd=scale_sd,
     )
 
 

@@ -7,13 +7,13 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from measure.api.outputs import check_folder, new_folder
 from measure.errors import ConfigError
 from measure.model import Body, Camera, Image
-from measure.session import check_bodies, read_body, read_calibration
+from measure.session import Calibration, check_bodies, read_body, read_calibration
 from measure_studio import capture
 from measure_studio.capture.controls import ControlRecord, watched
 from measure_studio.capture.process import until_stopped
@@ -133,13 +133,14 @@ def record(
     options.check()
     check_folder(out, options.overwrite, SESSION)
     capture.check_names([one.name for one in cameras])
-    calibrated = calibrated_cameras(cameras, calibration)
+    rig_calibration = calibration_of(cameras, calibration)
+    calibrated = rig_calibration.cameras
     measured = [read_body(body) for body in bodies]
     if measured:
         check_bodies(measured, reference, "--body")
     with open_rig(sources_of(cameras, calibrated, options.request), calibrated, options) as opened:
         rig = opened.cameras
-        with new_recorder(out, opened, measured, calibrated, reference) as recorder:
+        with new_recorder(out, opened, measured, rig_calibration, reference) as recorder:
             over = opened.begin(recorder.add)
             while not over():
                 rig.check()
@@ -152,12 +153,12 @@ def record(
 
 
 def new_recorder(
-    out: Path, opened: OpenRig, bodies: Sequence[Body], cameras: Sequence[Camera], reference: str
+    out: Path, opened: OpenRig, bodies: Sequence[Body], calibration: Calibration, reference: str
 ) -> capture.Recorder:
     """Begin a recording; one that is replaced is gone when this one has begun."""
     addresses, settings = opened.cameras.addresses, opened.controls.settings
     with new_folder(out, opened.options.overwrite, SESSION):
-        return capture.Recorder(out, addresses, bodies, cameras, reference, settings)
+        return capture.Recorder(out, addresses, bodies, calibration, reference, settings)
 
 
 def check_apart(record: Path, out: Path) -> None:
@@ -169,10 +170,10 @@ def check_apart(record: Path, out: Path) -> None:
         )
 
 
-def calibrated_cameras(
+def calibration_of(
     cameras: Sequence[capture.CameraAddress], calibration: Path | None
-) -> list[Camera]:
-    """The calibrations of cameras, in their order; none without a file.
+) -> Calibration:
+    """The calibration of cameras, in their order; of no camera without a file.
 
     Raises:
         ConfigError: there is no camera.
@@ -181,9 +182,9 @@ def calibrated_cameras(
     if not cameras:
         raise ConfigError("no camera: give at least one, as NAME=ADDRESS")
     if calibration is None:
-        return []
+        return Calibration(())
     known = read_calibration(calibration)
-    return [known.camera(one.name) for one in cameras]
+    return replace(known, cameras=tuple(known.camera(one.name) for one in cameras))
 
 
 def sizes_of(cameras: Sequence[Camera]) -> dict[str, tuple[int, int]]:
@@ -232,7 +233,7 @@ def usb_notes(
         return []
     there = {Path(one.path): one for one in capture.find_devices()}
     known = {name: there[place] for name, place in places.items() if place in there}
-    sizes = sizes_of(calibrated_cameras(cameras, calibration))
+    sizes = sizes_of(calibration_of(cameras, calibration).cameras)
     asked = {name: request.size_wh or sizes.get(name) for name in known}
     return capture.bus_notes(
         known, {name: size for name, size in asked.items() if size}, request.rate_hz

@@ -13,11 +13,12 @@ from typing import Self, TextIO
 import cv2
 
 from measure.errors import CaptureError
-from measure.model import Body, Camera, Image
+from measure.model import Body, Image
 from measure.session import Calibration, check_name, dump_toml, write_body, write_calibration
 
 _QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 98)
 _OWN_FILES = ("session.toml", "body.toml", "calibration.toml")
+NO_CAMERAS = Calibration(())
 _FULL_COLOR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
@@ -34,7 +35,7 @@ class Recorder:
         folder: Path,
         addresses: Mapping[str, str],
         bodies: Sequence[Body] = (),
-        cameras: Sequence[Camera] = (),
+        calibration: Calibration = NO_CAMERAS,
         reference: str = "",
         controls: Mapping[str, Mapping[str, int | str]] | None = None,
     ) -> None:
@@ -43,7 +44,7 @@ class Recorder:
         Args:
             folder: new, or empty.
             bodies: what is measured, if it is known already.
-            cameras: calibrated, if they are already.
+            calibration: of the cameras, if they are calibrated already.
             reference: name of the body that others are measured relative to; empty without one.
             controls: by camera what its controls are set to, where that is known.
 
@@ -61,9 +62,10 @@ class Recorder:
             files = _body_files(bodies)
             for name, body in files.items():
                 write_body(folder / name, body)
-            if cameras:
-                write_calibration(folder / "calibration.toml", Calibration(tuple(cameras)))
-            about = _session(folder, addresses, list(files), reference, bool(cameras))
+            known = bool(calibration.cameras)
+            if known:
+                write_calibration(folder / "calibration.toml", calibration)
+            about = _session(folder, addresses, list(files), reference, known)
             tables = [_camera_table(name, (controls or {}).get(name)) for name in addresses]
             text = dump_toml({"session": about, "cameras": tables})
             (folder / "session.toml").write_text(text, "utf-8")

@@ -86,7 +86,7 @@ class _Live:
             raise ConfigError("choose a calibration and a body: other pages make them")
         bench, run = self.bench, self._next("run")
         cameras, profile = bench.addresses(), api.load_profile(self.profile)
-        rig, read = api.read_calibration(calibrations[0]).cameras, [*map(api.read_body, bodies)]
+        rig, read = api.read_calibration(calibrations[0]), [*map(api.read_body, bodies)]
         options = studio_api.LiveOptions(
             record=self._next("session") if self.keep else None,
             seconds=self.seconds,

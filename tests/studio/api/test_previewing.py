@@ -16,6 +16,7 @@ from measure.geometry import RigidTransform
 from measure.measuring import Measurement
 from measure.measuring.measurement import Status
 from measure.model import Detection, Image, Pose
+from measure.session import Calibration
 from measure_lab import api as lab
 from measure_studio import api as studio_api
 from measure_studio.api import previewing
@@ -107,7 +108,7 @@ def test_a_camera_that_is_not_there_holds_up_no_other():
 
 def test_rests_are_found_while_poses_come(rng, paper_body, webcam):
     """Two places, 5 mm apart: the distance and its uncertainty are those of the means."""
-    rests = lab.RestsSoFar(paper_body, [])
+    rests = lab.RestsSoFar(paper_body, Calibration(()))
     covariance = np.diag([0.03**2] * 3 + [1e-3**2] * 3)
     assert not rests.find().rests
     for k in range(80):

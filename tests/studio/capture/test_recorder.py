@@ -19,8 +19,8 @@ NAMES = ("cam0", "cam1")
 
 
 @pytest.fixture
-def cameras(rig):
-    return list(rig[:2])
+def calibration(rig):
+    return Calibration(rig[:2])
 
 
 def pictures(count=3, size_wh=(1280, 720)):
@@ -30,17 +30,17 @@ def pictures(count=3, size_wh=(1280, 720)):
             yield Image(name, k, 1.7e9 + k / 30, lambda: None, data + bytes([k]))
 
 
-def recorded(folder, body, cameras, count=3):
+def recorded(folder, body, calibration, count=3):
     with Recorder(
-        folder, dict.fromkeys(NAMES, "http://x"), [body] if body else [], cameras
+        folder, dict.fromkeys(NAMES, "http://x"), [body] if body else [], calibration
     ) as recorder:
         for image in pictures(count):
             recorder.add(image)
     return folder
 
 
-def test_it_is_a_session(tmp_path, paper_body, cameras):
-    folder = recorded(tmp_path / "new" / "session", paper_body, cameras)
+def test_it_is_a_session(tmp_path, paper_body, calibration):
+    folder = recorded(tmp_path / "new" / "session", paper_body, calibration)
     with open_session(folder) as session:
         assert session.name == "session"
         assert session.notes == ()
@@ -52,9 +52,9 @@ def test_it_is_a_session(tmp_path, paper_body, cameras):
     )
 
 
-def test_it_can_be_measured_while_it_is_written(tmp_path, paper_body, cameras):
+def test_it_can_be_measured_while_it_is_written(tmp_path, paper_body, calibration):
     """As after a kill: nothing was closed."""
-    recorder = Recorder(tmp_path / "s", dict.fromkeys(NAMES, "x"), [paper_body], cameras)
+    recorder = Recorder(tmp_path / "s", dict.fromkeys(NAMES, "x"), [paper_body], calibration)
     for image in pictures():
         recorder.add(image)
     with open_session(tmp_path / "s") as session:
@@ -62,20 +62,20 @@ def test_it_can_be_measured_while_it_is_written(tmp_path, paper_body, cameras):
     recorder.close()
 
 
-def test_a_kill_between_stamp_and_picture_leaves_a_missing_frame(tmp_path, paper_body, cameras):
-    folder = recorded(tmp_path / "s", paper_body, cameras)
+def test_a_kill_between_stamp_and_picture_leaves_a_missing_frame(tmp_path, paper_body, calibration):
+    folder = recorded(tmp_path / "s", paper_body, calibration)
     last = folder / "cam0" / "000002.jpg"
     last.rename(last.with_suffix(".part"))
     with open_session(folder) as session:
         assert "cam0': 1 of 3 frames have no image" in session.notes[0]
 
 
-def test_body_and_calibration_may_come_later(tmp_path, paper_body, cameras):
-    folder = recorded(tmp_path / "s", None, ())
+def test_body_and_calibration_may_come_later(tmp_path, paper_body, calibration):
+    folder = recorded(tmp_path / "s", None, Calibration(()))
     with pytest.raises(SessionError, match="names no body"):
         open_session(folder)
     write_body(tmp_path / "b.toml", paper_body)
-    write_calibration(tmp_path / "c.toml", Calibration(tuple(cameras)))
+    write_calibration(tmp_path / "c.toml", calibration)
     with open_session(folder, tmp_path / "c.toml", tmp_path / "b.toml") as session:
         assert len(session.cameras) == 2
 
@@ -90,9 +90,9 @@ def test_what_is_no_jpeg_becomes_one_that_hardly_differs(tmp_path, rng):
     assert np.sqrt(np.mean(off**2)) < 1.5
 
 
-def test_pictures_that_come_after_the_end_leave_nothing(tmp_path, paper_body, cameras):
+def test_pictures_that_come_after_the_end_leave_nothing(tmp_path, paper_body, calibration):
     folder = tmp_path / "s"
-    recorder = Recorder(folder, dict.fromkeys(NAMES, "x"), [paper_body], cameras)
+    recorder = Recorder(folder, dict.fromkeys(NAMES, "x"), [paper_body], calibration)
     recorder.close()
     for image in pictures():
         recorder.add(image)
@@ -121,8 +121,10 @@ def test_names_that_cannot_be_folders_are_refused_first(tmp_path, names):
 
 def test_a_name_that_looks_like_a_pattern_is_found_again(tmp_path, paper_body, rig):
     names = ("cam[0]", "c*")
-    cameras = [replace(camera, name=name) for camera, name in zip(rig, names, strict=False)]
-    with Recorder(tmp_path / "s", dict.fromkeys(names, "x"), [paper_body], cameras) as recorder:
+    cameras = tuple(replace(c, name=name) for c, name in zip(rig, names, strict=False))
+    with Recorder(
+        tmp_path / "s", dict.fromkeys(names, "x"), [paper_body], Calibration(cameras)
+    ) as recorder:
         for image in pictures():
             recorder.add(replace(image, camera=names[NAMES.index(image.camera)]))
     with open_session(tmp_path / "s") as session:
@@ -143,10 +145,10 @@ def test_full_disk_is_reported_though_closing_fails_too(tmp_path):
         recorder.add(next(pictures()))
 
 
-def test_the_second_of_two_that_begin_at_once_writes_nothing(tmp_path, paper_body, cameras):
+def test_the_second_of_two_that_begin_at_once_writes_nothing(tmp_path, paper_body, calibration):
     """Both have found the folder free."""
-    folder = recorded(tmp_path / "s", paper_body, cameras)
+    folder = recorded(tmp_path / "s", paper_body, calibration)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     with pytest.raises(CaptureError, match="cam0: cannot be written: File exists"):
-        Recorder(folder, dict.fromkeys(NAMES, "other"), [], [])
+        Recorder(folder, dict.fromkeys(NAMES, "other"))
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
