@@ -116,7 +116,7 @@ class Pose:
     time_s: float  # the instant it holds for
     world_from_body: RigidTransform  # the pose
     # (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the world. The world's
-    # scale, which all poses share, is not in it: see `Calibration.scale_sd`.
+    # scale, which all poses share, is not in it: see `scale_sd` of the calibration file.
     covariance: Floats
     residual_mm: float  # RMS distance between positions and the body's balls, NaN if not applicable
     rms_px: float  # RMS reprojection error, of a moving body at the time of each image
