@@ -26,14 +26,14 @@ from measure.checking import (
     OverexposedCount,
     SearchSample,
     coverage_findings,
-    duplicate_findings,
     expected_accuracy,
+    repeated_causes,
     search_sample,
     worst_first,
 )
 from measure.checking.arrangement import arrangement_causes
 from measure.checking.body import BodyCheck, check_body, locate_balls, size_causes, twin_findings
-from measure.checking.causes import ALL, Cause, Word, beside
+from measure.checking.causes import ALL, Cause, Word, beside, with_weak
 from measure.checking.clocks import CameraClock
 from measure.checking.coverage import disagreeing_causes
 from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose_recording
@@ -126,7 +126,8 @@ def _concluded(session: Session, look: _Look, findings: list[Finding]) -> Sessio
         return SessionCheck(
             session.name, look.frame_sets, len(searched), worst_first(findings), causes=causes
         )
-    coverage, weak = coverage_findings(searched, session.body, session.cameras)
+    true_colors = not any(cause.cause is Word.EXPOSURE for cause in causes)
+    coverage, weak = coverage_findings(searched, session.body, session.cameras, true_colors)
     findings = [*(cause.finding for cause in causes), *findings]
     findings += [*twin_findings(session.body), *weak, *flag_findings(motion)]
     return SessionCheck(
@@ -289,20 +290,23 @@ class _Looking:
     def look(self) -> _Look:
         """Search some frame sets, and measure the first."""
         session = self.session
-        searched, located, every = [], [], []
+        searched, every = list[SearchSample](), list[Mapping[str, Sequence[Detection]]]()
+        numbers = list[dict[str, int]]()
         duplicates, colorless, overexposed = DuplicateCount(), ColorlessCount(), OverexposedCount()
         woven = WovenImages()
         detectors = build_detectors(self.profile, self.registry, session.body, session.cameras)
-        for frame_set, (seen,) in search_frame_sets(session, [detectors], self._chosen):
+        for frame_set, (found,) in search_frame_sets(session, [detectors], self._chosen):
+            numbers.append({name: image.frame for name, image in frame_set.images.items()})
+            old = self._repeated_in(numbers[-1], duplicates)
+            seen = {name: own for name, own in found.items() if name not in old}
             searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
             duplicates.add(frame_set)
             colorless.add(frame_set)
             overexposed.add(frame_set, searched[-1].agreeing)
             woven.add(frame_set, searched[-1].agreeing)
-            located.append(locate_balls(seen, session.body, session.cameras))
             every.append(seen)
             self.step()
-        shape = check_body(located, session.body)
+        self._leave_out(searched, every, [duplicates.copying(searched)] * len(searched))
         times_s = {name: s.times_s for name, s in session.streams.items()}
         causes = [
             *duplicates.causes(),
@@ -311,15 +315,43 @@ class _Looking:
             *woven_causes(woven.cameras, len(session.cameras)),
         ]
         causes += channel_causes(session, detectors, searched, every, self._chosen) * (not causes)
+        certain = any(cause.cause in _FIRST_OF_ALL for cause in causes)
+        measured = [] if certain else self._measured(searched, duplicates)
+        self._leave_out(searched, every, [self._repeated_in(own, duplicates) for own in numbers])
+        body, cameras = session.body, session.cameras
+        shape = check_body([locate_balls(seen, body, cameras) for seen in every], body)
         motion, diagnosis = MotionCheck(), Diagnosis()
-        if not any(cause.cause in _FIRST_OF_ALL for cause in causes):
-            measured = self._measured(searched, duplicates)
-            motion = check_motion(measured, session.body, session.cameras)
+        if not certain:
+            motion = check_motion(measured, body, cameras)
             diagnosis = self._diagnosed(searched, every, measured, shape)
-            sized = size_causes(session.body, motion.sizes) if motion.sizes else []
+            sized = size_causes(body, motion.sizes) if motion.sizes else []
             causes = _together(causes, diagnosis, [*shape.causes], searched, sized)
-        pictures = self._stalls(duplicates) + colorless.findings() + overexposed.findings()
+        causes = with_weak(causes, [*self._stalls(duplicates), *overexposed.causes()])
+        pictures = colorless.findings()
         return _Look(self._total, searched, shape, motion, pictures, tuple(causes), diagnosis)
+
+    def _repeated_in(self, numbers: Mapping[str, int], duplicates: DuplicateCount) -> set[str]:
+        """Cameras whose image of a frame set, by its number, is known to repeat the one before."""
+        return {
+            name
+            for name, number in numbers.items()
+            if number in self._again[name] or number in duplicates.repeated.get(name, ())
+        }
+
+    def _leave_out(
+        self,
+        searched: list[SearchSample],
+        every: list[Mapping[str, Sequence[Detection]]],
+        cameras: Sequence[set[str]],
+    ) -> None:
+        """Search again where cameras, by frame set, show what is not theirs or not of then."""
+        for k, out in enumerate(cameras):
+            left = {name: own for name, own in every[k].items() if name not in out}
+            if len(left) < len(every[k]):
+                sample = search_sample(
+                    left, self.session.body, self.session.cameras, searched[k].time_s
+                )
+                every[k], searched[k] = left, sample
 
     def _diagnosed(
         self,
@@ -383,18 +415,27 @@ class _Looking:
         frame_sets = measure_session(session, self.profile, self.registry)
         for frame_set, measurement in islice(frame_sets, self.clock_samples):
             duplicates.add(frame_set)
+            duplicates.leave_out(frame_set, measurement.repeated)
             self.step()
             measured.append(measurement)
         return measured
 
-    def _stalls(self, passed: DuplicateCount) -> list[Finding]:
-        """Pictures that come twice: in all files, or among those of a video that were decoded."""
+    @cached_property
+    def _again(self) -> dict[str, set[int]]:
+        """By camera, the numbers of images whose files hold the content of the one before."""
+        out = dict[str, set[int]]()
+        for name, stream in self.session.streams.items():
+            again = stream.repeated()
+            out[name] = set() if again is None else {*stream.frames[again].tolist()}
+        return out
+
+    def _stalls(self, passed: DuplicateCount) -> list[Cause]:
+        """Pictures that come twice: in all files, or among those that were decoded in a row."""
         out = []
         for name, stream in self.session.streams.items():
-            positions, compared = stream.repeated(), len(stream) - 1
-            if positions is None:
-                again = sorted(passed.repeated.get(name, ()))
-                positions = np.nonzero(np.isin(stream.frames, again))[0]
-                compared = len(passed.compared.get(name, ()))
-            out += duplicate_findings(name, positions, compared, stream.times_s, stream.frames)
+            again = {*self._again[name], *passed.repeated.get(name, ())}
+            positions = np.nonzero(np.isin(stream.frames, sorted(again)))[0]
+            whole = stream.repeated() is not None
+            compared = len(stream) - 1 if whole else len(passed.compared.get(name, ()))
+            out += repeated_causes(name, positions, compared, stream.times_s, stream.frames)
         return out

@@ -25,9 +25,8 @@ def check_files(
         for name, one in streams.items():
             again = one.repeated()
             if again is not None:
-                findings += checking.duplicate_findings(
-                    name, again, len(one) - 1, one.times_s, one.frames
-                )
+                said = checking.repeated_causes(name, again, len(one) - 1, one.times_s, one.frames)
+                findings += [cause.finding for cause in said]
         text = (
             "balls, clocks, places of cameras and accuracy were not checked: that needs "
             f"{' and '.join(f'--{name} FILE' for name in lacking)}"

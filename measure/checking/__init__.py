@@ -7,7 +7,7 @@ from measure.checking.pictures import (
     DuplicateCount,
     OverexposedCount,
     damage_findings,
-    duplicate_findings,
+    repeated_causes,
     stamp_findings,
 )
 from measure.checking.search import SearchSample, search_sample, with_velocities
@@ -15,6 +15,6 @@ from measure.checking.search import SearchSample, search_sample, with_velocities
 __all__ = [
     "ColorlessCount", "Coverage", "DuplicateCount", "Finding", "Level",
     "OverexposedCount", "SearchSample", "coverage_findings", "damage_findings",
-    "duplicate_findings", "expected_accuracy", "search_sample", "stamp_findings",
+    "expected_accuracy", "repeated_causes", "search_sample", "stamp_findings",
     "with_velocities", "worst_first",
 ]  # fmt: skip

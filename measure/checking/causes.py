@@ -27,6 +27,8 @@ class Word(StrEnum):
     EXCHANGED_CAMERAS = "exchanged-cameras"
     EXCHANGED_CHANNELS = "exchanged-channels"
     SAME_PICTURES = "same-pictures"
+    REPEATED = "repeated-pictures"
+    EXPOSURE = "exposure"
     INTERLACED = "interlaced"
     ROLLING = "rolling"
     UNKNOWN = "unknown"
@@ -47,6 +49,8 @@ TOPICS = {
     Word.MIRRORED: "cameras",
     Word.EXCHANGED_CHANNELS: "colour",
     Word.SAME_PICTURES: "frames",
+    Word.REPEATED: "frames",
+    Word.EXPOSURE: "exposure",
     Word.INTERLACED: "frames",
 }
 """Of a finding; "calibration" for all others."""
@@ -82,6 +86,12 @@ def beside(pictures: Sequence[Cause], others: Sequence[Cause]) -> list[Cause]:
     """
     said = {name for cause in pictures for name in cause.of.split(", ")}
     return [*pictures, *(c for c in others if ALL not in said and c.of not in said)]
+
+
+def with_weak(causes: Sequence[Cause], weak: Sequence[Cause]) -> list[Cause]:
+    """Causes, and before those of which none is certain what pictures show that costs accuracy."""
+    first = bool(causes) and causes[0].level is Level.WRONG
+    return [*causes, *weak] if first else [*weak, *causes]
 
 
 def rivals_text(rivals: tuple[str, ...]) -> str:

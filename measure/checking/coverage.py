@@ -33,9 +33,13 @@ class Coverage:
 
 
 def coverage_findings(
-    samples: Sequence[SearchSample], body: Body, cameras: Sequence[Camera]
+    samples: Sequence[SearchSample], body: Body, cameras: Sequence[Camera], true_colors: bool = True
 ) -> tuple[tuple[Coverage, ...], list[Finding]]:
-    """The coverage of every camera and ball, and what is weak about it."""
+    """The coverage of every camera and ball, and what is weak about it.
+
+    Args:
+        true_colors: whether what has a ball's colour looks like a ball: not if overexposed.
+    """
     with_pose = [s for s in samples if s.world_from_body is not None]
     table = tuple(_seen(with_pose, body, c, k) for c in cameras for k in range(len(body.balls)))
     findings: list[Finding] = []
@@ -47,12 +51,10 @@ def coverage_findings(
         text = f"no pose in {lost} of {len(samples)} frame sets looked at, mostly: {common}"
         findings.append(Finding(level, "balls", text))
     disagreeing = {cause.of for cause in disagreeing_causes(samples)}
-    lines = list[Finding]()
     flagged = [s.flags[0] for s in samples if s.flags]
     if len(flagged) > _MAX_CHANCE_SHARE * len(samples):  # a second body may be in view
         text = f"{flagged[0]} (so in {len(flagged)} of {len(samples)} frame sets looked at)"
-        lines.append(Finding(Level.WRONG, "balls", text))
-    findings += lines
+        findings.append(Finding(Level.WRONG if true_colors else Level.WEAK, "balls", text))
     for row in table:
         if row.camera not in disagreeing and row.seen < _MIN_SEEN_SHARE * row.expected:
             text = (

@@ -14,6 +14,7 @@ import numpy as np
 from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.checking.causes import ALL, Cause, Word
 from measure.checking.finding import Finding, Level
+from measure.checking.search import SearchSample
 from measure.limits import CLEAR_RATIO, GAP_PERIODS, MOST_LISTED
 from measure.measuring.duplicate_images import DuplicateImages
 from measure.model import Detection, FrameSet
@@ -50,26 +51,39 @@ class DuplicateCount:
         for pair in found.shared:
             self.shared.setdefault(pair, set()).add(frame_set.images[pair[0]].frame)
 
+    def leave_out(self, frame_set: FrameSet, repeated: Sequence[str]) -> None:
+        """Count images of a frame set that are known to repeat the ones before."""
+        for name in repeated:
+            self.repeated.setdefault(name, set()).add(frame_set.images[name].frame)
+
+    def copying(self, searched: Sequence[SearchSample]) -> set[str]:
+        """Of each two cameras that often show the same, the one whose balls agree less."""
+        agreeing = Counter(ball.camera for sample in searched for ball in sample.agreeing)
+        often = [p for p, same in self.shared.items() if len(same) > len(searched) / 4]
+        return {min(reversed(pair), key=lambda name: agreeing[name]) for pair in often}
+
     def causes(self) -> list[Cause]:
         """Each two cameras that show the same pictures."""
         return [
-            Cause(
-                Word.SAME_PICTURES,
-                f"{a}, {b}",
-                f"{a} and {b} hold the same pictures ({len(same)} of {len(self.compared[a])} "
-                "compared)",
-                "one device under two names, or a wrong input of a video switch; give each camera "
-                "an address of its own, and record anew",
-                Level.WRONG,
-            )
+            same_pictures_cause(a, b, f"{len(same)} of {len(self.compared[a])} compared")
             for (a, b), same in self.shared.items()
         ]
 
 
-def duplicate_findings(
+def same_pictures_cause(a: str, b: str, how_many: str) -> Cause:
+    """Two cameras show the same pictures."""
+    text = f"{a} and {b} hold the same pictures ({how_many})"
+    remedy = (
+        "one device under two names, or a wrong input of a video switch; give each camera an "
+        "address of its own, and record anew"
+    )
+    return Cause(Word.SAME_PICTURES, f"{a}, {b}", text, remedy, Level.WRONG)
+
+
+def repeated_causes(
     camera: str, repeated: Ints, compared: int, times_s: Floats, frames: Ints
-) -> list[Finding]:
-    """One line if images are the same as the one before.
+) -> list[Cause]:
+    """The cause if images are the same as the one before.
 
     Args:
         repeated: (k,) positions of the duplicates, increasing.
@@ -88,9 +102,10 @@ def duplicate_findings(
         f"{camera}: {len(repeated)} of {compared} pictures repeat the one before "
         f"({100 * share:.1f} %), at most {len(longest)} in a row, from frame "
         f"{frames[longest[0]]} at {times_s[longest[0]]:.3f} s: the camera or its driver stalled; "
-        "they are not measured; record at a lower rate, or mend its cable or power"
+        "they are not measured"
     )
-    return [Finding(level, "frames", text)]
+    remedy = "record at a lower rate, or mend its cable or power"
+    return [Cause(Word.REPEATED, camera, text, remedy, level)]
 
 
 def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
@@ -241,8 +256,8 @@ class OverexposedCount:
             self._seen[key] += 1
             self._overexposed[key] += full.size > 0 and full.mean() > _MAX_SATURATED_SHARE
 
-    def findings(self) -> list[Finding]:
-        """One line for each camera that sees a ball overexposed in half of its images or more."""
+    def causes(self) -> list[Cause]:
+        """Each camera that sees a ball overexposed in half of its images or more."""
         bright: dict[str, list[str]] = {}
         for (camera, ball), count in self._overexposed.items():
             if count >= _MIN_FRAME_SHARE * self._seen[camera, ball]:
@@ -250,11 +265,13 @@ class OverexposedCount:
                     f"{ball} in {count} of {self._seen[camera, ball]}"
                 )
         return [
-            Finding(
-                Level.WEAK,
-                "exposure",
+            Cause(
+                Word.EXPOSURE,
+                camera,
                 f"{camera}: balls are overexposed ({', '.join(balls)} pictures): their edges show "
-                "up to half a pixel further out than they are; expose for less time",
+                "up to half a pixel further out than they are, and lights look like balls",
+                "expose for less time",
+                Level.WEAK,
             )
             for camera, balls in bright.items()
         ]

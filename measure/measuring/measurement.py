@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -44,6 +44,7 @@ class Measurement:
     searched: tuple[str, ...] = ()
     # cameras that show another camera's images, and are left out, with that one's name.
     copies: Mapping[str, str] = field(default_factory=dict)
+    repeated: tuple[str, ...] = ()  # cameras that show their last image again
 
     @property
     def doubts(self) -> str:
@@ -58,11 +59,12 @@ class Measurement:
         pose = replace(self.pose, flags=(*self.pose.flags, flag))
         return replace(self, pose=pose, status=Status.FLAGGED)
 
-    def with_copies(self, copies: Mapping[str, str]) -> Measurement:
-        """The same, saying which camera shows whose images: a pose without it is no worse."""
+    def without_images(self, copies: Mapping[str, str], repeated: Sequence[str]) -> Measurement:
+        """The same, saying whose images are left out and why: a pose without them is no worse."""
         said = [f"{copy} shows the pictures of {whose}" for copy, whose in copies.items()]
+        said += [f"{name} repeats its last picture" for name in repeated]
         reason = "; ".join(filter(None, (self.reason, *said)))
-        return replace(self, copies=dict(copies), reason=reason) if said else self
+        return replace(self, copies=dict(copies), repeated=tuple(repeated), reason=reason)
 
     def with_tolerance(self, body: Body) -> Measurement:
         """The same, with the body's tolerance added to the pose's covariance: no image shows it."""

@@ -86,7 +86,7 @@ class Pipeline:
             raise errors[0]
 
     def _draft(self, frame_set: FrameSet, pool: Executor) -> Draft:
-        new = self._duplicates.without_duplicates(frame_set)
+        new = self._duplicates.without_duplicates(frame_set, pool.map)
         frame_set = new.frame_set
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
@@ -113,7 +113,8 @@ class Pipeline:
         """Name cameras that show another one's images; flag what those and woven ones spoil."""
         pose, duplicates = draft.measurement.pose, self._duplicates
         shared = duplicates.judge(new.shared, () if pose is None else pose.cameras)
-        draft = replace(draft, measurement=draft.measurement.with_copies(duplicates.copies))
+        measured = draft.measurement.without_images(duplicates.copies, new.repeated)
+        draft = replace(draft, measurement=measured)
         seen = (v.detection for v in draft.measurement.views if v.effective and v.detection)
         self._woven.add(new.frame_set, seen, look=self._woven.due(draft.measurement.index))
         for flag in filter(None, (new.flag, shared, self._woven.flag)):

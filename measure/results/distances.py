@@ -13,19 +13,20 @@ import pyarrow.compute as pc
 
 from measure.arrays import Floats
 from measure.checking.body import Compared, layout_causes, size_causes, twin_findings
-from measure.checking.causes import ALL, Cause, Word, beside
+from measure.checking.causes import ALL, Cause, Word, beside, with_weak
 from measure.checking.diagnosis import diagnose
 from measure.checking.evidence import Evidence, Sighting
 from measure.checking.finding import Level
-from measure.checking.pictures import gaps_alone, woven_causes
+from measure.checking.pictures import gaps_alone, repeated_causes, same_pictures_cause, woven_causes
 from measure.checking.sightings import MOST_INSTANTS
 from measure.geometry import RigidTransform
 from measure.limits import MAX_PAUSE_S
 from measure.measuring.ball_radii import outline_growth
+from measure.measuring.duplicate_images import left_out
 from measure.measuring.woven_images import woven_cameras
 from measure.model import Body, Camera, Detection
 from measure.model.observations import Reason, State
-from measure.results.tables import PLACE, matrices, numbers
+from measure.results.tables import PLACE, integers, matrices, numbers
 
 MIN_FRAME_SETS = 5  # Of fewer frame sets the scatter is not known well enough
 
@@ -120,19 +121,36 @@ def rig_notes(
     said = () if diagnosis.doubtful else diagnosis.causes
     causes = [_told(cause, evidence) for cause in said if evidence]
     reasons = filter(None, pc.unique(poses["reason"]).to_pylist())
-    woven = woven_causes(woven_cameras(list(reasons)), len(cameras))
-    told = () if causes or woven else contradictions(body, distances)
+    shared, repeated = _duplicates(poses)
+    pictures = [*shared, *woven_causes(woven_cameras(list(reasons)), len(cameras))]
+    told = () if causes or pictures else contradictions(body, distances)
     if not causes and not told:
         causes = size_causes(body, outline_growth(seen, body, cameras))
     if diagnosis.doubtful and not causes:
         causes = [_unclear(Level.WEAK, ALL, "the balls are not quite where they should be")]
     causes = [
         cause
-        for cause in beside(woven, causes)
+        for cause in with_weak(beside(pictures, causes), repeated)
         if not any(note.startswith(f"{Level.WRONG}: {cause.of}:") for note in notes)
     ]
     findings = (*(cause.finding for cause in causes), *twin_findings(body))
     return (*told, *map(str, findings))
+
+
+def _duplicates(poses: pa.Table) -> tuple[list[Cause], list[Cause]]:
+    """Cameras that show another one's pictures, and those that repeat their own."""
+    places: dict[tuple[str, str], list[int]] = {}
+    for place, reason in enumerate(poses["reason"].to_pylist()):
+        for key in left_out((reason or "").split("; ")):
+            places.setdefault(key, []).append(place)
+    index, times_s = integers(poses, "index"), numbers(poses, "time_s")
+    shared, repeated = [], []
+    for (name, whose), own in places.items():
+        if whose:
+            shared.append(same_pictures_cause(whose, name, f"in {len(own)} of {len(index)}"))
+        else:
+            repeated += repeated_causes(name, np.array(own), len(index) - 1, times_s, index)
+    return shared, repeated
 
 
 def _stamps(detections: pa.Table, camera: str) -> Floats:

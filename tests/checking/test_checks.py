@@ -174,7 +174,7 @@ def test_overexposed_balls_are_told_by_camera():
     count = OverexposedCount()
     for _ in range(3):
         count.add(_frame_set(pictures), balls)
-    full, border = count.findings()
+    full, border = count.causes()
     assert full.level is Level.WEAK
     assert "full: balls are overexposed (red in 3 of 3 pictures)" in full.text
     assert border.text.startswith("border: ")
@@ -185,7 +185,7 @@ def test_occasional_overexposure_is_no_finding():
     count, ball = OverexposedCount(), _ball("cam0", (80.0, 60), 20.0)
     for picture in (dark, bright, dark):
         count.add(_frame_set({"cam0": picture}), [ball])
-    assert count.findings() == []
+    assert count.causes() == []
 
 
 def test_too_short_a_recording_is_weak():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -37,6 +38,58 @@ def test_a_camera_that_stalls_is_left_out_until_it_goes_on(encoded):
         (["a", "b"], ""),
         (["a", "b", "c"], ""),
     ]
+
+
+def moving(camera, frame, shown, quality):
+    """A disc over cloth that is at another place in every picture, encoded as stated."""
+    pixels = np.full((128, 160, 3), 30, np.uint8)
+    pixels[::8] = 60
+    cv2.circle(pixels, (40 + 6 * shown, 64), 14, (40, 40, 190), -1, cv2.LINE_AA)
+    data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+    decoded = np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))
+    return Image(camera, frame, frame / 30, lambda: decoded, data)
+
+
+@pytest.mark.parametrize(
+    ("shown", "quality", "out"),
+    [
+        ([0, 1, 2, 2, 2, 3, 4], [92, 92, 92, 86, 71, 92, 92], [3, 4]),
+        ([0, 1, 2, 3, 4, 5, 6], [92, 92, 92, 86, 71, 92, 92], []),
+    ],
+)
+def test_a_picture_that_comes_again_encoded_anew_is_left_out(shown, quality, out):
+    duplicates, seen = DuplicateImages(), []
+    for index in range(7):
+        images = {name: moving(name, index, index + k, 92) for k, name in enumerate("ab")}
+        images["c"] = moving("c", index, 9 - shown[index], quality[index])
+        new = duplicates.without_duplicates(FrameSet(index, index / 30, images))
+        duplicates.judge(new.shared, new.frame_set.images)
+        seen += [] if "c" in new.frame_set.images else [index]
+        assert new.repeated == (("c",) if index in out else ())
+    assert seen == out
+
+
+def test_a_body_that_rests_repeats_no_picture():
+    """Nor does a camera stall that sees nothing of it."""
+    duplicates = DuplicateImages()
+    for index in range(8):
+        shown = min(index, 3)
+        images = {name: moving(name, index, shown + k, 80 + index) for k, name in enumerate("ab")}
+        images["c"] = moving("c", index, 7, 80 + index)
+        new = duplicates.without_duplicates(FrameSet(index, index / 30, images))
+        duplicates.judge(new.shared, {"a", "b"})
+        assert (new.repeated, len(new.frame_set.images)) == ((), 3)
+
+
+@pytest.mark.parametrize("late", [0, 2])
+def test_a_camera_that_shows_anothers_pictures_encoded_again_is_named(late):
+    duplicates = DuplicateImages()
+    for index in range(4, 8):
+        images = {"a": moving("a", index, index, 92), "b": moving("b", index, 2 * index, 92)}
+        images["c"] = moving("c", index, index - late, 70)
+        new = duplicates.without_duplicates(FrameSet(index, index / 30, images))
+        duplicates.judge(new.shared, {"a", "b"})
+    assert duplicates.copies == {"c": "a"}
 
 
 def test_if_all_cameras_stall_the_pose_is_flagged():
@@ -116,11 +169,11 @@ def test_cameras_that_look_alike_are_not_taken_for_one(encoded):
         for levels in ({"a": 0, "b": 0}, {"a": 255, "b": 255}):
             assert duplicates.of(frame_set(index, levels, encoded)).shared == ()
     for index in range(4):
-        room = np.random.default_rng(0).integers(40, 200, (64, 64, 3))
+        room = np.random.default_rng(0).integers(40, 200, (64, 67, 3))
         images = {}
         for k, name in enumerate("ab"):
-            noise = np.random.default_rng(10 * index + k).integers(0, 2, room.shape)
-            pixels = (room + noise).astype(np.uint8)
+            noise = np.random.default_rng(10 * index + k).integers(0, 2, (64, 64, 3))
+            pixels = (room[:, 3 * k :][:, :64] + noise).astype(np.uint8)  # from two places
             data = bytes(pixels) if encoded else None
             images[name] = Image(name, index, index / 30, lambda p=pixels: p, data)
         assert duplicates.of(FrameSet(index, index / 30, images)).shared == ()
