@@ -32,6 +32,49 @@ def quiet(done: int, total: int | None) -> None:
     """Progress that nobody looks at."""
 
 
+class ProgressClock:
+    """How long work goes on, and how long it takes yet: one clock for pages, bars and lines.
+
+    The pace is counted from the first report on: what comes before it is start-up. Where more is
+    done than was promised, nothing is promised any more.
+
+    Attributes:
+        done: how many are done.
+        total: of how many; None where that is not known.
+    """
+
+    def __init__(self, now_s: float) -> None:
+        self._begun_s, self.done = now_s, 0
+        self.total: int | None = None
+        self._first: tuple[float, int] | None = None
+
+    def note(self, done: int, total: int | None, now_s: float) -> None:
+        """Hear how many are done, and of how many."""
+        if self._first is None or done < self.done:
+            self._first = now_s, done
+        self.done, self.total = done, total if total and done <= total else None
+
+    @property
+    def share(self) -> float | None:
+        """How much is done, below 1 while it goes on; None where nobody knows."""
+        return None if self.total is None or self.done >= self.total else self.done / self.total
+
+    def told(self, now_s: float) -> str:
+        """The clock: "elapsed 0:10, about 0:34 left"."""
+        told = f"elapsed {_clock(now_s - self._begun_s)}"
+        since_s, before = self._first or (now_s, self.done)
+        if self.share is None or self.total is None or now_s <= since_s or self.done <= before:
+            return told
+        left_s = (self.total - self.done) * (now_s - since_s) / (self.done - before)
+        return f"{told}, about {_clock(max(left_s, 1.0))} left"
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02.0f}:{seconds:02.0f}" if hours else f"{minutes}:{seconds:02.0f}"
+
+
 class Terminated(KeyboardInterrupt):
     """This process was asked to end by another signal than that of Ctrl-C."""
 

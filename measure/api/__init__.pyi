@@ -40,29 +40,29 @@ from measure.calibration.boards import MirroredBoardError
 from measure.calibration.other_boards import OtherBoard, other_board
 from measure.calibration.printing import Sheet, target_sheet
 from measure.checking.causes import Cause
+from measure.checking.unknown_body import search_bodies
 from measure.checking.watching import RigWatch
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile, relative_measurements
-from measure.model import Camera, Image
+from measure.model import Body, Camera, Image
+from measure.processes import ProgressClock
 from measure.results.evaluation import evaluation_tables
 from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
 
 __all__ = [
-    "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "BodySearch",
+    "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "Body", "BodySearch",
     "Calibration", "CalibrationResult", "Camera", "Cause", "Corners", "Demo", "FocalFrom",
     "FoundBody", "Image", "Lens", "Mark", "MarkKind", "Marking", "Measurement",
-    "MirroredBoardError", "OtherBoard", "Outcome", "Pipeline", "Profile", "RefineResult",
-    "Registry", "RigWatch", "RigidTransform", "RunOptions", "Samples", "SeenPicture",
-    "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "Workers", "begin_marks",
-    "board_frame", "board_length",
-    "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose",
-    "demo", "detect", "draw", "draw_target", "drawings", "evaluate",
-    "evaluation_tables", "events", "export", "find_body", "find_target", "inside",
-    "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder",
-    "other_board", "output", "parse_click", "parse_expectation", "parse_images", "profile_names",
-    "read_board",
+    "MirroredBoardError", "OtherBoard", "Outcome", "Pipeline", "Profile", "ProgressClock",
+    "RefineResult", "Registry", "RigWatch", "RigidTransform", "RunOptions", "Samples",
+    "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "Workers",
+    "begin_marks", "board_frame", "board_length", "body_names", "build_pipeline", "calibrate",
+    "calibrate_to", "check", "choose", "demo", "detect", "draw", "draw_target", "drawings",
+    "evaluate", "evaluation_tables", "events", "export", "find_body", "find_target", "inside",
+    "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "other_board",
+    "output", "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
     "read_body", "read_calibration", "refine", "relative_measurements", "render_demo", "run",
-    "run_in_stretches", "run_many", "sampled_color", "shipped_targets", "sync", "target_sheet",
-    "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
+    "run_in_stretches", "run_many", "sampled_color", "search_bodies", "shipped_targets", "sync",
+    "target_sheet", "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ from pydantic_core import to_jsonable_python
 from rich.console import Console
 from rich.table import Table
 
-from measure.processes import Progress
+from measure.processes import Progress, ProgressClock
 
 JsonFlag = Annotated[bool, Parameter(name="--json", help="Print one JSON object and nothing else.")]
 """Type of every command's `json` option."""
@@ -105,50 +105,61 @@ def progress(
 @contextmanager
 def _bar(label: str, unit: str, out: TextIO) -> Iterator[Progress]:
     from rich import progress as rich_progress
+    from rich.text import Text
+
+    pace = ProgressClock(time.monotonic())
+
+    class Clock(rich_progress.ProgressColumn):
+        """How many are done, and the clock."""
+
+        def render(self, task: rich_progress.Task) -> Text:
+            del task
+            return Text(_so_far(pace, unit, time.monotonic()))
 
     with rich_progress.Progress(
         rich_progress.TextColumn("{task.description}"),
         rich_progress.BarColumn(),
-        rich_progress.MofNCompleteColumn(),
-        rich_progress.TextColumn(unit),
-        rich_progress.TimeElapsedColumn(),
-        rich_progress.TextColumn("left"),
-        rich_progress.TimeRemainingColumn(),
+        Clock(),
         console=Console(file=out),
         transient=True,
     ) as bar:
-        task = bar.add_task(label, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        bar.add_task(label, total=None)
+        (task,) = bar.tasks
+
+        def report(done: int, total: int | None) -> None:
+            pace.note(done, total, time.monotonic())
+            task.total = pace.total
+            bar.update(task.id, completed=done)
+
+        yield report
 
 
 class ProgressLines:
-    """Progress as lines of text, at most one every few seconds.
-
-    The pace is counted from the first report on: what comes before it is start-up.
-    """
+    """Progress as lines of text, at most one every few seconds."""
 
     def __init__(
         self, label: str, unit: str, out: TextIO, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._label, self._unit, self._out, self._clock = label, unit, out, clock
         self._last = clock()
-        self._first: tuple[float, int] | None = None
+        self._pace = ProgressClock(self._last)
 
     def __call__(self, done: int, total: int | None) -> None:
         """Print a line if the last one is some seconds old."""
         now = self._clock()
-        if self._first is None:
-            self._first = now, done
-        if now - self._last < _LINE_EVERY_S:
-            return
-        self._last = now
-        text = f"{self._label}: {done}" + ("" if total is None else f"/{total}") + f" {self._unit}"
-        start, done_before = self._first
-        if now > start and done > done_before:
-            rate = (done - done_before) / (now - start)
-            text += f", {rate:.3g} per s"
-            text += "" if total is None else f", {(total - done) / rate:.0f} s left"
-        print(text, file=self._out, flush=True)
+        self._pace.note(done, total, now)
+        if now - self._last >= _LINE_EVERY_S:
+            self._last = now
+            told = _so_far(self._pace, self._unit, now)
+            print(f"{self._label}: {told}", file=self._out, flush=True)
+
+
+def _so_far(pace: ProgressClock, unit: str, now_s: float) -> str:
+    """How many are done of how many, if any is or that is known, and the clock."""
+    if not pace.done and pace.total is None:
+        return pace.told(now_s)
+    of = "" if pace.total is None else f"/{pace.total}"
+    return f"{pace.done}{of} {unit}, {pace.told(now_s)}"
 
 
 def _cell(value: object) -> str:

@@ -29,8 +29,22 @@ def test_without_a_terminal_progress_is_a_line_every_few_seconds():
         clock.now = 0.1 * done
         report(done, 240)
     assert out.getvalue().splitlines() == [
-        "measuring: 50/240 frame sets, 10 per s, 19 s left",
-        "measuring: 100/240 frame sets, 10 per s, 14 s left",
+        "measuring: 50/240 frame sets, elapsed 0:05, about 0:19 left",
+        "measuring: 100/240 frame sets, elapsed 0:10, about 0:14 left",
+    ]
+
+
+def test_a_total_that_is_passed_promises_nothing_more():
+    out, clock = io.StringIO(), Clock()
+    report = console.ProgressLines("looking", "frame sets", out, clock)
+    report(0, 24)
+    for clock.now, done, total in ((6.0, 12, 24), (12.0, 24, 24), (18.0, 80, 24), (80.0, 90, None)):
+        report(done, total)
+    assert out.getvalue().splitlines() == [
+        "looking: 12/24 frame sets, elapsed 0:06, about 0:06 left",
+        "looking: 24/24 frame sets, elapsed 0:12",
+        "looking: 80 frame sets, elapsed 0:18",
+        "looking: 90 frame sets, elapsed 1:20",
     ]
 
 
@@ -40,7 +54,7 @@ def test_without_a_total_there_is_no_promise():
     report(0, None)
     clock.now = 5.0
     report(40, None)
-    assert out.getvalue() == "reading: 40 rows, 8 per s\n"
+    assert out.getvalue() == "reading: 40 rows, elapsed 0:05\n"
 
 
 def test_a_slow_start_does_not_count_as_the_pace():
@@ -51,8 +65,8 @@ def test_a_slow_start_does_not_count_as_the_pace():
     clock.now = 65.0
     report(51, 101)
     assert out.getvalue().splitlines() == [
-        "rendering: 1/101 pictures",
-        "rendering: 51/101 pictures, 10 per s, 5 s left",
+        "rendering: 1/101 pictures, elapsed 1:00",
+        "rendering: 51/101 pictures, elapsed 1:05, about 0:05 left",
     ]
 
 
@@ -74,7 +88,7 @@ def test_on_a_terminal_there_is_a_bar_that_leaves_nothing_behind():
     with console.progress("measuring", stream=out) as report:
         report(3, 12)
     assert "measuring" in out.getvalue()
-    assert "3/12" in out.getvalue()
+    assert "3/12 frame sets, elapsed 0:00" in out.getvalue()
     assert "\x1b[2K" in out.getvalue()
 
 
