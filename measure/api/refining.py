@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -21,14 +21,14 @@ from measure.calibration import (
     rough_cameras,
 )
 from measure.calibration.refining.recording import recording_of
-from measure.checking.unknown_body import PALETTES, SeenBall, find_layout, locate, probe, wrong_size
+from measure.checking.unknown_body import SeenBall, find_layout, locate, search_bodies, wrong_size
 from measure.errors import CalibrationError, ConfigError
 from measure.geometry import RigidTransform, align_points
 from measure.host import Registry
 from measure.limits import SPREAD_OVER
 from measure.measuring import Measurement, Profile
 from measure.measuring.association import associate
-from measure.model import Body, Detection
+from measure.model import BallColor, Body, Detection
 from measure.processes import Progress, quiet
 from measure.session import (
     Calibration,
@@ -191,22 +191,33 @@ class BodySearch:
 
 
 def find_body(
-    session: Path | str, registry: Registry, search: BodySearch, progress: Progress = quiet
+    session: Path | str,
+    registry: Registry,
+    search: BodySearch,
+    progress: Progress = quiet,
+    *,
+    learnt: Mapping[str, BallColor] | None = None,
+    without: Collection[str] = (),
 ) -> FoundBody:
     """Find a body's balls in a recording, and adjust their places to all its pictures.
 
     The session needs no body, and one that it names is not read. SessionError: fewer than three
     balls, two of one colour, or balls of another size.
+
+    Args:
+        learnt: colours of balls, by name, that are searched beside the common ones.
+        without: common colours that are not searched.
     """
     radius_mm, origin = search.radius_mm, search.origin
     if not 0 < radius_mm < np.inf:
         raise ConfigError(f"--radius-mm {radius_mm:g}: expected a length in mm above 0")
     pattern = None if search.like is None else _of_size(read_body(search.like), radius_mm)
     chosen = load_profile(search.profile)
-    probes = [pattern] if pattern else [probe(p, radius_mm) for p in PALETTES]
-    with open_session(session, search.calibration, probes[0]) as opened:
-        frames = list(_searched(opened, probes, pattern, chosen, registry, progress))
-        every = pattern or probe([c for p in PALETTES for c in p], radius_mm)
+    searched = [pattern] if pattern else search_bodies(radius_mm, learnt, without)
+    with open_session(session, search.calibration, searched[0]) as opened:
+        frames = list(_searched(opened, searched, pattern, chosen, registry, progress))
+        # Only names, colours and radii of these count.
+        every = replace(searched[0], balls=tuple(b for body in searched for b in body.balls))
         rough = find_layout(frames, every, pick=pattern is None)
         if origin is not None and origin not in rough.names:
             raise ConfigError(
@@ -245,7 +256,7 @@ def _searched(
                 located |= locate(mine, body, session.cameras, 2)
             else:
                 located |= locate(seen, body, session.cameras)
-        progress(done, len(chosen))
+        progress(done, len(chosen) + total)
         yield located
 
 
@@ -272,9 +283,14 @@ def _adjusted(
     progress: Progress,
 ) -> FoundBody:
     """Measure the recording with a rough body, and adjust that by bundle adjustment."""
-    first = replace(rough, tolerance_mm=_ROUGH_MM)
+    first, total = replace(rough, tolerance_mm=_ROUGH_MM), len(session.pair().times_s)
+    searched = min(SPREAD_OVER, total)
+
+    def measured_so_far(done: int, _: int | None) -> None:
+        progress(searched + done, searched + total)
+
     measured, sized = measure_all(
-        replace(session, body=first), lenient(profile), registry, progress
+        replace(session, body=first), lenient(profile), registry, measured_so_far
     )
     recording = recording_of(measured, sized, least_motion_mm=0.0)
     refined = refine_rig(

@@ -7,7 +7,7 @@ multidimensional scaling, Torgerson 1952), good enough to measure it with and to
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -50,13 +50,39 @@ class SeenBall:
     alone: bool  # whether no other ball of this colour is seen
 
 
-def probe(colors: Sequence[str], radius_mm: float) -> Body:
-    """Balls of common colours, laid out anyhow, to search pictures for."""
+def search_bodies(
+    radius_mm: float, learnt: Mapping[str, BallColor] | None = None, without: Collection[str] = ()
+) -> list[Body]:
+    """Bodies to search pictures for where none is known: of colours that overlap little.
+
+    SessionError: fewer than three colours are left.
+
+    Args:
+        learnt: colours that are searched beside the common ones, by the ball's name.
+        without: common colours that are not searched.
+    """
+    learnt = learnt or {}
+    named = {c: BallColor.named(c) for group in PALETTES for c in group}
+    groups = [[c for c in group if c not in {*without, *learnt}] for group in PALETTES]
+    groups += [some.tolist() for some in np.array_split([*learnt], -(-len(learnt) // 6) or 1)]
+    groups = sorted(filter(None, groups), key=len, reverse=True)
+    while len(groups) > 1 and len(groups[-1]) < 3:
+        groups[-2:] = [groups[-2] + groups[-1]]
+    if not groups or len(groups[0]) < 3:
+        raise SessionError("a body needs 3 balls: fewer colours than that are searched for")
+    return [probe(group, radius_mm, {**named, **learnt}) for group in groups]
+
+
+def probe(
+    colors: Sequence[str], radius_mm: float, known: Mapping[str, BallColor] | None = None
+) -> Body:
+    """Balls of common colours, or of those known by name, laid out anyhow, to search for."""
     angle = 2 * np.pi * np.arange(len(colors)) / len(colors)
     ring = 2 * radius_mm * len(colors) / np.pi
     places = ring * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    known = known or {c: BallColor.named(c) for c in colors}
     named = zip(colors, places, strict=True)
-    return Body("body", tuple(Ball(c, BallColor.named(c), at, radius_mm) for c, at in named))
+    return Body("body", tuple(Ball(c, known[c], at, radius_mm) for c, at in named))
 
 
 def locate(

@@ -8,10 +8,18 @@ import shutil
 import numpy as np
 import pytest
 
-from measure.checking.unknown_body import find_layout, locate, probe, wrong_size
+from measure.checking.unknown_body import (
+    PALETTES,
+    find_layout,
+    locate,
+    probe,
+    search_bodies,
+    wrong_size,
+)
 from measure.cli.app import main
 from measure.errors import SessionError
 from measure.estimation.body_layout import looks_mirrored
+from measure.model import BallColor
 from measure.session import read_body
 from tests.scenes import FOUR, RAVEN, a_pose, ring, see
 
@@ -84,6 +92,25 @@ def test_two_balls_of_one_color_are_refused():
         frames.append(locate(found, probe(COLORS, 15.0), list(cameras.values())))
     with pytest.raises(SessionError, match=r"two blue balls are seen.*--like"):
         find_layout(frames, probe(COLORS, 15.0), pick=True)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 9])
+def test_learnt_colors_are_searched_beside_the_common_ones(count):
+    """In bodies of three to eight colours, as many as a detector tells apart at once."""
+    learnt = {f"mine {k}": BallColor.named("blue") for k in range(count)}
+    common = {color for group in PALETTES for color in group}
+    for without in ((), ("blue", "white"), common if count >= 3 else ()):
+        searched = search_bodies(15.0, learnt, without)
+        names = [name for body in searched for name in body.names]
+        assert sorted(names) == sorted((common - {*without}) | learnt.keys())
+        assert all(3 <= len(body.balls) <= 8 for body in searched)
+        assert all(b.color is learnt[b.name] for p in searched for b in p.balls if b.name in learnt)
+
+
+def test_fewer_than_three_colors_are_no_body():
+    common = {color for group in PALETTES for color in group}
+    with pytest.raises(SessionError, match="needs 3 balls"):
+        search_bodies(15.0, {"mine": BallColor.named("blue")}, common - {"red"})
 
 
 @pytest.mark.slow

@@ -250,12 +250,12 @@ NAMELESS = {
 READS = {
     "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "camera_line",
     "camera_names", "cameras", "check", "choose", "compare", "contents_of", "described", "detect",
-    "drawings", "evaluate", "evaluation_tables", "events", "find_target", "inside", "learnt_colors",
+    "drawings", "evaluate", "evaluation_tables", "events", "find_target", "inside",
     "load_profile", "measure_bodies", "measure_session", "model_file", "next_free", "parse_cameras",
     "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
     "parse_size", "play", "play_cameras", "profile_names", "read_board", "read_body",
     "read_calibration", "register", "relative_measurements", "rests", "sampled_color",
-    "shipped_model", "shipped_targets", "target_sheet", "usb_notes", "web_viewer",
+    "search_bodies", "shipped_model", "shipped_targets", "target_sheet", "usb_notes", "web_viewer",
 }  # fmt: skip
 
 

@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
-from measure.session import open_session, read_trajectory
+from measure.results import read_run
+from measure.session import open_session, read_body, read_trajectory
+from measure.simulation.catalogue import shaft, stems, webcam_scene
 from measure_studio.page.layout import WIDTH_PX
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium
-from tests.studio.desk import FOOT, choose, click_at, go, press, strike, studio
+from tests.simulated.catalogue import body, three_camera_rig
+from tests.simulated.sessions import rendered
+from tests.studio.desk import FOOT, click_at, fill, go, press, strike, studio
+from tests.studio.test_from_nothing import at_rest
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(400)]
-PERIOD_S = 0.25
+PERIOD_S, OWN_PERIOD_S = 0.25, 0.3
+MAGENTA = "pink"  # As the program calls it
 SAYS = "document.body.innerText.includes({!r})"
 SHOWN = "document.querySelectorAll('img.live[src^=blob]').length >= {}"
-STATE = "document.querySelector('.poses .state')?.innerText"
+STATE = "document.querySelector('.pose')?.dataset.state"
+POSES = "document.querySelector('[data-pose]')?.innerText"
 
 
-def served(still, count):
+def served(still, count, period_s=PERIOD_S):
     return {
         f"cam{k}": ServedCamera(
             [file.read_bytes() for file in sorted((still / f"cam{k}").glob("*.jpg"))],
-            PERIOD_S,
+            period_s,
             stamps=True,
         )
         for k in range(count)
@@ -39,46 +46,79 @@ def desk_with(still, folder):
     return folder
 
 
-def yellow_px(still):
-    """Where the yellow ball is in cam0, in px of the smaller picture that the page shows."""
-    width = cv2.imread(str(min((still / "cam0").glob("*.jpg")))).shape[1]
-    scale = WIDTH_PX / width
-    with open_session(still) as session:
-        times_s = session.streams["cam0"].times_s[:1]
-        pose = read_trajectory(still / "truth.csv").at(times_s)[0]
-        body = session.body
-        center = pose.apply(body.centers[body.index("yellow")][None])
-        return scale * (np.ravel(session.cameras[0].project(center)) + 0.5) - 0.5
+def own_object():
+    """A recording of four balls of other colours than the paper's, before three cameras."""
+    places = {
+        "white": (34.0, 6.0, -4.0),
+        "blue": (-8.0, 33.0, 6.0),
+        "orange": (-31.0, -9.0, -6.0),
+        "magenta": (6.0, -30.0, 14.0),
+    }
+    own = body("my object", places, 15.0)
+    attached = (*stems(own), shaft(color=(0.02,) * 3))
+    scene = replace(webcam_scene(), name="own", body=own, cameras=three_camera_rig())
+    return rendered(replace(scene, attached=attached), OWN_PERIOD_S * np.arange(10)), own
 
 
-def test_a_click_on_the_ground_teaches_nothing(still, tmp_path):
-    """And what a ball teaches is shown, named and taken away again."""
-    desk = desk_with(still, tmp_path / "desk")
+def test_an_object_of_ones_own_is_measured(tmp_path, rng):
+    """Nobody chooses or clicks a colour; a click on the ground teaches nothing."""
+    recording, true = own_object()
+    desk = tmp_path / "desk"
+    desk.mkdir()
+    shutil.copy(recording / "calibration.toml", desk)
+    cameras = served(recording, 3, OWN_PERIOD_S)
+    moving = {name: camera.pictures for name, camera in cameras.items()}
+    for camera in cameras.values():  # at rest, to be clicked
+        camera.pictures = at_rest(camera.pictures[0], rng)
     with (
-        serving(served(still, 1)) as found,
+        serving(cameras) as found,
         Chromium(1440, 900) as page,
-        studio(desk, f"cam0={found['cam0']}") as address,
+        studio(desk, *(f"{name}={at}" for name, at in found.items())) as address,
     ):
         go(page, address + "body")
-        page.wait_for(SHOWN.format(1), 30)
-        page.wait_for(SAYS.format("cam0: green, red, yellow"), 60)
-        assert not page.evaluate(SAYS.format("no ball found"))
-        choose(page, "Ball to click", "yellow")
+        page.wait_for(SHOWN.format(3), 60)
+        page.wait_for("document.querySelectorAll('[data-ball]').length == 4", 120)
+        top = "document.querySelector('img.live').getBoundingClientRect().top + scrollY"
+        before = page.evaluate(top)
         click_at(page, "img.live", 20, 20)
         page.wait_for(SAYS.format("no ball-like patch"), 20)
         assert not (desk / "colours.toml").exists()
-        click_at(page, "img.live", *yellow_px(still))
-        page.wait_for("!!document.querySelector('[data-learnt=yellow]')", 20)
-        assert (desk / "colours.toml").exists()
+        click_at(page, "img.live", *seen_px(recording, true, "blue"))
+        page.wait_for("!!document.querySelector('[data-ball=blue]')", 20)
+        page.wait_until((desk / "colours.toml").exists, "blue is learnt", 20)
+        assert page.evaluate(top) == before
+        for name, some in moving.items():
+            cameras[name].pictures = some
+        fill(page, "Radius of the balls, mm", "15")
+        fill(page, "Seconds", "6")
+        press(page, "record and measure")
+        page.wait_for(f"/body-1.*4 balls/.test({FOOT})", 240)
+        page.wait_for("document.querySelectorAll('.chip.sure').length == 4", 20)
+        assert page.evaluate(top) >= before
+        measured = read_body(desk / "body-1.toml")
+        for pair, length in true.distances().items():
+            known = [name.replace("magenta", MAGENTA) for name in pair]
+            off = np.subtract(*measured.centers_of(known))
+            assert np.linalg.norm(off) == pytest.approx(length, abs=0.3)
         go(page, address + "measure")
-        page.wait_for(SAYS.format("body.toml · "), 20)
-        assert not page.evaluate(SAYS.format("colours.toml"))
-        go(page, address + "body")
-        press_forget = "document.querySelector('[data-learnt=yellow] button').click()"
-        page.wait_for("!!document.querySelector('[data-learnt=yellow] button')", 20)
-        page.evaluate(press_forget)
-        page.wait_for("!document.querySelector('[data-learnt=yellow]')", 20)
-        assert not (desk / "colours.toml").exists()
+        press(page, "measure$")
+        page.wait_for(f"{STATE} == 'OK'", 150)
+        press(page, "stop")
+        page.wait_for("!!document.querySelector('a.primary[href$=\"run-1/report.html\"]')", 90)
+        assert page.errors == []
+    assert sorted(file.name for file in desk.glob("session-*")) == ["session-1", "session-2"]
+    run = read_run(desk / "run-1")
+    assert run.unflagged[run.has_pose].sum() >= 2
+
+
+def seen_px(recording, true, ball):
+    """Where a ball is in the first camera's first picture, in px of the smaller one shown."""
+    with open_session(recording) as session:
+        pose = read_trajectory(recording / "truth.csv").at(session.streams["cam0"].times_s[:1])[0]
+        center = pose.apply(true.centers[true.index(ball)][None])
+        camera = session.cameras[0]
+        scale = WIDTH_PX / camera.intrinsics.size_wh[0]
+        return scale * (np.ravel(camera.project(center)) + 0.5) - 0.5
 
 
 def test_state_is_large_and_nothing_looks_live_after_stop(still, tmp_path):
@@ -99,7 +139,7 @@ def test_state_is_large_and_nothing_looks_live_after_stop(still, tmp_path):
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         assert not page.evaluate("!!document.querySelector('a[href$=\"report.html\"]')")
         press(page, "stop")
-        page.wait_for(f"/run-1: .* believed/.test({FOOT})", 90)
+        page.wait_for(f"/poses good/.test({POSES})", 90)
         page.wait_for("!!document.querySelector('.poses.old .age')", 20)
         page.wait_for("!!document.querySelector('a.primary[href$=\"run-1/report.html\"]')", 20)
         assert not page.evaluate(SAYS.format("Compare with the truth"))

@@ -14,7 +14,7 @@ from measure.errors import ConfigError
 from measure_studio.api import CaptureRequest
 from measure_studio.page.bench import Bench, Job
 from measure_studio.page.measure_page import pose_shown
-from measure_studio.page.words import plain
+from measure_studio.page.words import grouped, plain
 from tests.measurements import measurement
 
 ROOT = Path(__file__).parents[2]
@@ -44,7 +44,17 @@ def test_times_are_those_of_a_clock():
     assert plain("7 of 1795785159 pictures") == "7 of 1795785159 pictures"
 
 
+def test_what_is_found_of_several_cameras_alike_stands_in_one_line():
+    texts = ["cam1: stamps 7.3 ms uneven", "cam2: stamps 6.9 ms uneven", "cam1: too dark", "a"]
+    names = ("cam1", "cam2")
+    told = ["cam1: stamps 7.3 ms uneven (alike in cam2)", "cam1: too dark", "a"]
+    assert grouped(texts, names) == told
+    assert grouped(["cam1: 3 px", "cam1: 4 px"], names) == ["cam1: 3 px", "cam1: 4 px"]
+    assert grouped(["ball 1", "ball 2"], ()) == ["ball 1", "ball 2"]
+
+
 def test_work_says_how_long_it_takes_yet():
+    """By one clock, and never that all is done before it is."""
     may_go_on = threading.Event()
 
     def work(job: Job) -> str:
@@ -52,14 +62,58 @@ def test_work_says_how_long_it_takes_yet():
         return "done"
 
     job = Job("calibrating", work)
-    assert job.told() == "calibrating ... 0 s"
+    assert job.told() == "calibrating: elapsed 0:00"
+    job.progress(0, 4)
     job.progress(1, 4)
-    assert job.told() == "calibrating: 25%, about 1 s left"
+    assert job.told() == "calibrating: elapsed 0:00, about 0:01 left"
+    assert job.share == 0.25
+    job.progress(4, 4)
+    assert job.share is None
+    assert job.told() == "calibrating: elapsed 0:00"
+    job.progress(80, 4)
+    assert job.share is None
     job.title = "writing"
-    assert job.told() == "writing ... 0 s"
+    assert job.told() == "writing: elapsed 0:00"
     may_go_on.set()
     job.wait(10.0)
     assert job.told() == "done"
+
+
+def test_what_cannot_be_done_yet_waits_its_turn(tmp_path):
+    """Unless what goes on fails, or is stopped."""
+    bench = Bench(tmp_path, Registry.discover(), True, CaptureRequest())
+    done, may_go_on = list[str](), threading.Event()
+
+    def first(job: Job) -> str:
+        while not may_go_on.wait(0.01):
+            job.progress(1, 2)
+        done.append("first")
+        return "first"
+
+    def next_one(_: Job) -> str:
+        done.append("next")
+        return "next"
+
+    def begin_both() -> Job:
+        may_go_on.clear()
+        bench.begin("first", first)
+        bench.begin("next", next_one, waits=True)
+        bench.begin("next", next_one, waits=True)
+        with pytest.raises(ConfigError, match="first goes on"):
+            bench.begin("other", next_one)
+        assert [title for title, _ in bench.waiting] == ["next"]
+        return bench.job
+
+    job = begin_both()
+    may_go_on.set()
+    job.wait(10.0)
+    bench.job.wait(10.0)
+    assert done == ["first", "next"]
+    job = begin_both()
+    bench.stop()
+    job.wait(10.0)
+    assert bench.job is job
+    assert done == ["first", "next"]
 
 
 def test_work_that_is_stopped_ends_at_its_next_step():

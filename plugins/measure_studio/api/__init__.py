@@ -1,5 +1,6 @@
 """What a notebook calls to see, record and measure cameras while they deliver."""
 
+from measure_studio.api.ball_colors import BallColors
 from measure_studio.api.cameras import cameras
 from measure_studio.api.capturing import capture_board
 from measure_studio.api.live import LiveEnd, LiveOptions, LiveState, live
@@ -25,7 +26,7 @@ from measure_studio.api.recording import (
     usb_notes,
 )
 from measure_studio.api.rendered_cameras import DEMO_BOARDS, demo_cameras
-from measure_studio.api.rig_folder import COLORS, contents_of, described, learnt_colors, next_free
+from measure_studio.api.rig_folder import COLORS, contents_of, described, next_free
 from measure_studio.capture import (
     CameraAddress,
     CameraCount,
@@ -37,11 +38,11 @@ from measure_studio.capture import (
 )
 
 __all__ = [
-    "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "TYPED", "BallWatch", "CameraAddress", "CameraCount",
-    "CameraNow", "CaptureOptions", "CaptureRequest", "Control", "DeviceControls", "FoundCamera",
-    "LiveEnd", "LiveOptions", "LiveState", "Mode", "Pace", "PictureFacts", "PlayEnd", "PlayOptions",
-    "Preview", "RecordedSession", "WatchedCamera", "camera_line", "camera_names", "cameras",
-    "capture_board", "contents_of", "demo_cameras", "described", "learnt_colors", "live",
-    "next_free", "parse_cameras", "parse_controls", "parse_size", "play", "play_cameras", "record",
-    "usb_notes", "web_viewer",
+    "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "TYPED", "BallColors", "BallWatch", "CameraAddress",
+    "CameraCount", "CameraNow", "CaptureOptions", "CaptureRequest", "Control", "DeviceControls",
+    "FoundCamera", "LiveEnd", "LiveOptions", "LiveState", "Mode", "Pace", "PictureFacts", "PlayEnd",
+    "PlayOptions", "Preview", "RecordedSession", "WatchedCamera", "camera_line", "camera_names",
+    "cameras", "capture_board", "contents_of", "demo_cameras", "described", "live", "next_free",
+    "parse_cameras", "parse_controls", "parse_size", "play", "play_cameras", "record", "usb_notes",
+    "web_viewer",
 ]  # fmt: skip

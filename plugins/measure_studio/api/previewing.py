@@ -24,9 +24,8 @@ from measure.api.profiles import build_detectors, load_profile
 from measure.arrays import Bytes, Floats
 from measure.errors import MeasureError
 from measure.host import Registry
-from measure.model import Detection, Image
+from measure.model import Body, Detection, Image
 from measure.model.frames import FULL
-from measure.session import read_body
 from measure_studio.api.recording import CaptureRequest
 from measure_studio.capture import CameraAddress, CameraCount, Cameras
 from measure_studio.capture.sources import POLL_S, RETRY_S
@@ -104,6 +103,7 @@ class Preview:
 
     def __init__(self) -> None:
         self._newest: dict[str, Image] = {}
+        self._came_s: dict[str, float] = {}
         self._balls: dict[str, tuple[float, Sequence[Detection]]] = {}
         self._shown: dict[tuple[str, int], tuple[Image, bytes, PictureFacts]] = {}
         self._held: dict[str, tuple[float, Image]] = {}
@@ -111,6 +111,11 @@ class Preview:
     def add(self, image: Image) -> None:
         """Take a picture; it is decoded only if it is looked at."""
         self._newest[image.camera] = image
+        self._came_s[image.camera] = time.monotonic()
+
+    def age_s(self, camera: str) -> float:
+        """How long ago the newest picture of a camera came; infinite without one."""
+        return time.monotonic() - self._came_s.get(camera, -math.inf)
 
     def newest(self, camera: str) -> Image | None:
         """The newest picture of a camera that can be read; None without one."""
@@ -220,12 +225,14 @@ class WatchedCamera:
         now: its state.
     """
 
+    CONNECTING = "is being connected"
+
     def __init__(
         self, camera: CameraAddress, sink: Callable[[Image], None], request: CaptureRequest
     ) -> None:
         """Begin; `sink` gets every picture, from a thread of the camera's."""
         self._camera, self._sink, self._request = camera, sink, request
-        self._stop, self.now = threading.Event(), CameraNow(CameraCount(), "is being connected")
+        self._stop, self.now = threading.Event(), CameraNow(CameraCount(), self.CONNECTING)
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -255,16 +262,19 @@ class WatchedCamera:
 
 
 class BallWatch:
-    """Searches the newest pictures of cameras for a body's balls, in turn and at leisure.
+    """Searches the newest pictures of cameras for bodies' balls, in turn and at leisure.
 
-    Ordinary lenses are assumed. Raises MeasureError if the body cannot be read.
+    Ordinary lenses are assumed. Of balls that are found in one place the best is meant.
     """
 
     def __init__(
-        self, preview: Preview, cameras: Sequence[str], body: Path, registry: Registry
+        self, preview: Preview, cameras: Sequence[str], bodies: Sequence[Body], registry: Registry
     ) -> None:
-        self._preview, self._cameras, self._body = preview, cameras, read_body(body)
-        self._build = partial(build_detectors, load_profile(), registry, self._body)
+        self._preview, self._cameras = preview, cameras
+        profile = load_profile()
+        self._searches = [
+            (body, partial(build_detectors, profile, registry, body)) for body in bodies
+        ]
         self._stop = threading.Event()
         preview.forget_balls()
         threading.Thread(target=self._work, daemon=True).start()
@@ -280,13 +290,29 @@ class BallWatch:
                 if (image := self._preview.newest(name)) is not None:
                     height, width = image.pixels.shape[:2]
                     camera = replace(LensOf(Lens()).of(width, height, Path(name)), name=name)
-                    found = look(image, self._body, self._build, {}, camera)
-                    best = {one.ball: one for one in sorted(found, key=lambda one: one.score)}
-                    self._preview.note_balls(image, best.values())
+                    found = [
+                        one
+                        for body, build in self._searches
+                        for one in look(image, body, build, {}, camera)
+                    ]
+                    if self._stop.is_set():
+                        return
+                    self._preview.note_balls(image, _best(found))
                 # A first search that compiled for minutes is no reason to rest as long.
                 took_s = min(time.monotonic() - begun, RETRY_S)
                 if self._stop.wait(took_s * (1 / SEARCH_SHARE - 1)):
                     return
+
+
+def _best(found: Iterable[Detection]) -> list[Detection]:
+    """The best of each ball, and of those that lie in one place."""
+    best = {one.ball: one for one in sorted(found, key=lambda one: one.score)}
+    kept = list[Detection]()
+    for one in sorted(best.values(), key=lambda one: -one.score):
+        apart = [np.linalg.norm(one.center_px - two.center_px) - two.radius_px for two in kept]
+        if min(apart, default=1.0) > 0:
+            kept.append(one)
+    return kept
 
 
 @contextmanager

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-
-from measure.arrays import Bytes
 from measure.errors import ConfigError, MeasureError
 from measure.reading import parse_toml, read_text
 
@@ -60,19 +57,6 @@ def described(file: Path, folder: Path) -> str:
     if (file.parent / "session.toml").is_file():
         words.append("a copy")
     return " · ".join(words)
-
-
-def learnt_colors(file: Path) -> dict[str, Bytes]:
-    """The colours that a body's file gives by samples: by ball, BGR (n, 3)."""
-    if not file.is_file():
-        return {}
-    balls = parse_toml(read_text(file, ConfigError)).get("balls", [])
-    given = {ball["name"]: ball["color"] for ball in balls}
-    return {
-        name: np.array(color["samples_bgr"], np.uint8)
-        for name, color in given.items()
-        if isinstance(color, dict) and "samples_bgr" in color
-    }
 
 
 def next_free(folder: Path, stem: str, suffix: str = "") -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -18,6 +20,9 @@ from measure_studio import api as studio_api
 BOARD = "charuco_8x5_27"
 """Offered first: parts of it count, its turns are told apart, and it is found fast."""
 CALIBRATION = "calibration.toml"  # In the folder: the newest, whichever page made it
+CameraState = Literal["live", "away", "held"]
+CONNECTING = studio_api.WatchedCamera.CONNECTING
+_FRESH_S = 3.0  # A camera delivers if its newest picture is younger
 _PATIENCE_S = 3.0  # Longest wait for cameras to be closed
 _CAMERAS = "cameras.txt"  # In the folder: NAME=ADDRESS a line, without those that hold a secret
 
@@ -25,10 +30,14 @@ _CAMERAS = "cameras.txt"  # In the folder: NAME=ADDRESS a line, without those th
 class Job:
     """Work in a thread of its own; its result is for people, its problem empty if there is none."""
 
-    def __init__(self, title: str, work: Callable[[Job], str]) -> None:
+    def __init__(
+        self, title: str, work: Callable[[Job], str], on_end: Callable[[Job], object] = id
+    ) -> None:
         self.stop = threading.Event()
         self.title = title
         self.result = self.problem = ""
+        self.ended_s = math.inf  # When it was over
+        self._on_end = on_end
         self._thread = threading.Thread(target=self._run, args=(work,), daemon=True)
         self._thread.start()
 
@@ -39,8 +48,8 @@ class Job:
 
     @title.setter
     def title(self, title: str) -> None:
-        self._title, self.done, self.total = title, 0, 0
-        self._begun_s = time.monotonic()
+        self._title, self._begun_s = title, time.monotonic()
+        self._pace = api.ProgressClock(self._begun_s)
         self.stop.clear()
 
     @property
@@ -56,32 +65,30 @@ class Job:
         """Hear how far it is; MeasureError where it is to stop."""
         if self.stop.is_set():
             raise MeasureError(f"stopped: {self.title}")
-        self.done, self.total = done, total or 0
+        self._pace.note(done, total, time.monotonic())
 
     def lasts(self, seconds: float | None) -> None:
         """Hear that this part takes so long, and how far it is by the clock."""
         if seconds:
-            self.total = round(1e3 * seconds)
-            self.done = min(round(1e3 * self.lasted_s), self.total)
+            now_s = time.monotonic()
+            self._pace.note(0, round(1e3 * seconds), self._begun_s)
+            self._pace.note(round(1e3 * (now_s - self._begun_s)), round(1e3 * seconds), now_s)
+
+    @property
+    def share(self) -> float | None:
+        """How much of this part is done, below 1; None if nobody knows."""
+        return self._pace.share
 
     @property
     def lasted_s(self) -> float:
         """How long this part of the work goes on already."""
         return time.monotonic() - self._begun_s
 
-    @property
-    def share(self) -> float | None:
-        """How much of this part is done, 0 to 1; None if nobody knows."""
-        return self.done / self.total if self.total else None
-
     def told(self) -> str:
-        """What is being done and how long it takes yet, or how it ended."""
-        if not self.runs:
-            return self.problem or self.result
-        if not self.share:
-            return f"{self.title} ... {self.lasted_s:.0f} s"
-        left_s = self.lasted_s * (1 / self.share - 1)
-        return f"{self.title}: {self.share:.0%}, about {max(left_s, 1):.0f} s left"
+        """What is being done and the clock, or how it ended."""
+        if self.runs:
+            return f"{self.title}: {self._pace.told(time.monotonic())}"
+        return self.problem or self.result
 
     def _run(self, work: Callable[[Job], str]) -> None:
         try:
@@ -90,6 +97,9 @@ class Job:
             self.problem = str(problem)
         except OSError as problem:
             self.problem = f"{problem.filename or ''}: {problem.strerror}"
+        finally:
+            self.ended_s = time.monotonic()
+            self._on_end(self)
 
 
 class Bench:
@@ -102,9 +112,11 @@ class Bench:
         cameras: in the order in which they were given.
         preview: their newest pictures.
         job: what is or was being done last; None at first.
+        waiting: what is done next, in turn: titles, and what begins it.
         board: file in the folder, or shipped target, that is waved and that the world begins at;
             the newest file at first, for a board was measured then.
-        body: the body whose balls are looked for in the previews.
+        body: the body that was chosen last, to be looked for in the previews.
+        searched: the bodies whose balls are looked for in them.
         viewer: address of the Rerun viewer, while it is there.
     """
 
@@ -118,7 +130,10 @@ class Bench:
         boards = studio_api.contents_of(folder).boards if folder.is_dir() else ()
         self.board = str(boards[0].relative_to(folder)) if boards else BOARD
         self.body: Path | None = None
+        self.searched: Sequence[api.Body] = ()
         self.viewer = ""
+        self.waiting = list[tuple[str, Callable[[], None]]]()
+        self._holds = False  # Whether what goes on has taken the cameras
         self._watched: dict[studio_api.CameraAddress, studio_api.WatchedCamera] = {}
         self._balls: studio_api.BallWatch | None = None
         self._counts: Mapping[str, studio_api.CameraCount] | None = None
@@ -139,11 +154,25 @@ class Bench:
             }
         return {one.name: watched.now for one, watched in self._watched.items()}
 
+    def state(self, name: str) -> tuple[CameraState, str]:
+        """How a camera is, and why it delivers nothing, if so."""
+        known = self.now.get(name)
+        problem = known.problem.removeprefix(f"camera '{name}': ") if known else ""
+        if not self._holds:
+            if problem == CONNECTING:
+                return "held", problem
+            return ("away", problem or "not read") if problem or not known else ("live", "")
+        # While a board is watched nobody counts pictures: they come, or do not.
+        if self.preview.age_s(name) < _FRESH_S:
+            return "live", ""
+        if any(self.preview.age_s(one) < _FRESH_S for one in self.names):
+            return "away", problem or "no picture comes"
+        return "held", f"in use: {self.job.title if self.job else ''}"
+
     def problem(self, name: str) -> str:
-        """Why a camera delivers nothing now; empty if it does."""
-        if name not in self.now:
-            return "not read"
-        return self.now[name].problem.removeprefix(f"camera '{name}': ")
+        """Why a camera delivers nothing now; empty if it does, or if it is in use."""
+        state, why = self.state(name)
+        return why if state == "away" else ""
 
     @property
     def names(self) -> list[str]:
@@ -216,7 +245,7 @@ class Bench:
                 # A file is meant from the folder, wherever the program was started.
                 there = one.below(self.folder)
                 self._watched[one] = studio_api.WatchedCamera(there, self.preview.add, self.given)
-        self.look_for_balls()
+        self._look_for_balls()
 
     def let_go(self) -> None:
         """Close the cameras, for whoever needs them next."""
@@ -229,34 +258,73 @@ class Bench:
             one.wait(max(until_s - time.monotonic(), 0.0))
         self._watched, self._balls = {}, None
 
-    def look_for_balls(self) -> None:
-        """Search the previews for the body, if one is chosen."""
+    @property
+    def looks(self) -> bool:
+        """Whether balls are being looked for in the previews."""
+        return self._balls is not None
+
+    def look_for(self, bodies: Sequence[api.Body]) -> None:
+        """Search the previews for the balls of these, as soon as cameras are watched."""
+        self.searched = bodies
+        if not self._holds:
+            self._look_for_balls()
+
+    def _look_for_balls(self) -> None:
         if self._balls is not None:
             self._balls.stop()
         self._balls = None
-        if self.body is not None:
-            names = [one.name for one in self.cameras]
-            self._balls = studio_api.BallWatch(self.preview, names, self.body, self.registry)
+        if self.searched:
+            self._balls = studio_api.BallWatch(
+                self.preview, self.names, self.searched, self.registry
+            )
 
     def refuse_if_busy(self) -> None:
         """Refuse (ConfigError) a second thing at a time."""
         if self.job is not None and self.busy:
             raise ConfigError(f"{self.job.title} goes on: stop it, or wait until it has ended")
 
-    def begin(self, title: str, work: Callable[[Job], str], needs_cameras: bool = False) -> None:
-        """Do something in the background; the cameras are watched again when it is over."""
+    def begin(
+        self,
+        title: str,
+        work: Callable[[Job], str],
+        needs_cameras: bool = False,
+        waits: bool = False,
+    ) -> None:
+        """Do something in the background; the cameras are watched again when it is over.
+
+        Args:
+            waits: whether it waits for its turn, if something else goes on; else it is refused
+                (ConfigError) then.
+        """
 
         def with_cameras(job: Job) -> str:
+            self._holds = True
             self.let_go()
             try:
                 return work(job)
             finally:
                 self._counts = None
                 self.watch()
+                self._holds = False
+
+        def start() -> None:
+            self.job = Job(title, with_cameras if needs_cameras else work, self._go_on)
 
         with self._turn:
-            self.refuse_if_busy()
-            self.job = Job(title, with_cameras if needs_cameras else work)
+            if not waits:
+                self.refuse_if_busy()
+            if not self.busy:
+                start()
+            elif title not in [other for other, _ in self.waiting]:
+                self.waiting.append((title, start))
+
+    def _go_on(self, ended: Job) -> None:
+        """Begin what waits, unless what it waited for failed."""
+        with self._turn:
+            if ended.problem:
+                self.waiting.clear()
+            if self.waiting:
+                self.waiting.pop(0)[1]()
 
     def note_counts(self, counts: Mapping[str, studio_api.CameraCount]) -> None:
         """Hear from whoever reads the cameras what came of them."""
@@ -319,7 +387,8 @@ class Bench:
         return f"{capture.name} gave {CALIBRATION}: expected error at the body {error_mm:.3f} mm"
 
     def stop(self) -> None:
-        """End what goes on, as an interrupt would."""
+        """End what goes on, as an interrupt would, and forget what waits."""
+        self.waiting.clear()
         if self.job is not None:
             self.job.stop.set()
 

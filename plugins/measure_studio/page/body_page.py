@@ -1,21 +1,23 @@
-"""The body: its colours are picked in live pictures, and its balls located in a recording."""
+"""The body: its balls are found by their colours, those that are clicked too, and located."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from shutil import rmtree
 
-import numpy as np
 from nicegui import events, ui
 
 from measure import api
-from measure.errors import ConfigError
+from measure.errors import ConfigError, MeasureError
 from measure_studio import api as studio_api
 from measure_studio.page import drawings
-from measure_studio.page.bench import Bench, Job
+from measure_studio.page.bench import CALIBRATION, Bench, Job
 from measure_studio.page.layout import (
     WIDTH_PX,
-    Hint,
     act,
     camera_card,
     choice,
@@ -23,14 +25,16 @@ from measure_studio.page.layout import (
     details,
     empty,
     intro,
+    kept_so,
     page,
     pictures,
+    put,
     tell,
     told,
     tried,
 )
 
-_ALIKE = 0.5  # Share of a ball's samples from which on they are taken for another ball's colour
+_SEEN_BY = 2  # Cameras that must see a colour, where there are as many, before it is listed
 
 
 @dataclass
@@ -38,99 +42,122 @@ class _Making:
     """What is picked and measured; it outlives the browser's page, and what was picked the program.
 
     Attributes:
-        picked: samples by ball, those of each click.
+        colors: what balls are searched by.
+        session: the recording in which the body was found.
+        out: the file of the body that was found.
+        is_changed: whether other colours are searched for than those of `found`.
+        seen: colours that several cameras see.
     """
 
     bench: Bench
-    ball: str | None = None
     radius_mm: float = 20.0
     seconds: float = 10.0
-    picked: dict[str, list[api.Samples]] = field(init=False)
+    colors: studio_api.BallColors = field(init=False)
     found: api.FoundBody | None = None
+    session: Path | None = None
+    out: Path | None = None
+    is_changed: bool = False
+    seen: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        learnt = studio_api.learnt_colors(self.bench.folder / studio_api.COLORS)
-        self.picked = {ball: [samples] for ball, samples in learnt.items()}
+        self.colors = studio_api.BallColors(self.bench.folder / studio_api.COLORS)
 
-    @property
-    def colors(self) -> dict[str, api.Samples]:
-        """What was learnt, by ball."""
-        return {ball: np.concatenate(some) for ball, some in self.picked.items()}
-
-    def names(self, bodies: list[Path]) -> Path:
-        """The file that the balls are looked for by."""
-        return self.bench.folder / studio_api.COLORS if self.picked else like(bodies)
-
-    def pick(self, bodies: list[Path], camera: str, share: tuple[float, float]) -> str:
+    def pick(self, like: Path | None, camera: str, share: tuple[float, float]) -> str:
         """Learn a ball's colour where it was clicked, and look for all of them at once."""
         image = self.bench.preview.last_shown(camera, WIDTH_PX)
-        if self.ball is None or image is None:
-            raise ConfigError("choose the ball's name first, and wait for a picture")
+        if image is None:
+            raise ConfigError("wait for a picture, then click a ball in it")
         height, width = image.pixels.shape[:2]
-        at = share[0] * width - 0.5, share[1] * height - 0.5
-        body = api.read_body(like(bodies))
-        ball = body.balls[body.index(self.ball)]
-        samples = api.sampled_color(image.pixels, ball, at)
-        self.picked.setdefault(ball.name, []).append(samples)
-        self.look(bodies)
-        for other in body.balls:
-            looks_like = np.mean(other.color.matches(samples)) > _ALIKE
-            if looks_like and np.mean(ball.color.matches(samples)) < _ALIKE:
-                return Hint(
-                    f"{ball.name} was learnt here, but it looks like {other.name}: if it is, take "
-                    "the colour away again below, and choose the right name"
-                )
-        return f"{ball.name} was learnt in {camera}"
+        ball = self.colors.learn(image.pixels, (share[0] * width - 0.5, share[1] * height - 0.5))
+        self.look(like)
+        return f"{self.colors.name(ball)} was learnt in {camera}"
 
-    def forget(self, ball: str, bodies: list[Path]) -> None:
-        """Take away what was learnt of a ball: it has the colour of its file again."""
-        self.picked.pop(ball, None)
-        if not self.picked:
-            (self.bench.folder / studio_api.COLORS).unlink(missing_ok=True)
-        self.look(bodies)
+    def change(self, like: Path | None, how: Callable[[], object]) -> None:
+        """Change what is searched for, and look for it at once."""
+        how()
+        self.look(like)
 
-    def look(self, bodies: list[Path]) -> None:
-        """Look for the balls, by what was learnt."""
-        self.bench.body = self.names(bodies)
-        if self.picked:
-            body = api.read_body(like(bodies))
-            colors = {ball: some for ball, some in self.colors.items() if ball in body.names}
-            api.write_body(self.bench.body, body, colors)
-        if not self.bench.busy:
-            self.bench.look_for_balls()
+    def look(self, like: Path | None, is_new: bool = True) -> None:
+        """Look for the balls in the previews."""
+        self.is_changed = is_new and self.found is not None
+        if self.found is not None and not self.is_changed:
+            self.bench.look_for([self.colors.named(self.found).body])
+        else:
+            self.bench.look_for([])
+            self.bench.look_for(self.colors.bodies(self.radius_mm, like))
 
-    def measure(self, bodies: list[Path], calibrations: list[Path]) -> None:
-        """Record the body while it is turned about, and locate its balls."""
-        bench, folder = self.bench, self.bench.folder
-        if not calibrations:
-            raise ConfigError("choose a calibration: step 2, Calibration, makes it")
-        session = folder / studio_api.next_free(folder, "session")
-        out = folder / studio_api.next_free(folder, "body", ".toml")
-        names = self.names(bodies)
+    def call(self, color: str, name: str) -> None:
+        """Call a ball so, in the file of the body that was found, too."""
+        self.colors.call(color, name)
+        if self.found is not None and self.out is not None and color in self.found.body.names:
+            api.write_body(self.out, self.colors.named(self.found).body)
+
+    def measure(self, like: Path | None, calibration: Path | None) -> None:
+        """Record the body while it is turned about, and locate its balls; it waits its turn."""
+        bench, radius_mm = self.bench, self.radius_mm
 
         def work(job: Job) -> str:
-            bench.record(job, session, self.seconds, calibrations[0])
-            job.title = f"looking for the balls in {session.name}"
-            search = api.BodySearch(self.radius_mm, names)
-            found = api.find_body(session, bench.registry, search, job.progress)
-            api.write_body(out, found.body)
-            self.found, bench.body = found, out
-            return f"{out.name}: {len(found.body.balls)} balls, {found.frame_sets} frame sets"
+            known = calibration or bench.folder / CALIBRATION
+            if not known.is_file():
+                raise ConfigError("choose a calibration: step 2, Calibration, makes it")
+            session = bench.folder / studio_api.next_free(bench.folder, "session")
+            job.title = f"recording {session.name}"
+            try:
+                bench.record(job, session, self.seconds, known)
+                found = self._find(job, session, radius_mm, like)
+            except BaseException:
+                rmtree(session, ignore_errors=True)
+                raise
+            return found
 
-        bench.begin(f"recording {session.name}", work, needs_cameras=True)
+        bench.begin("recording the body", work, needs_cameras=True, waits=True)
+
+    def search_again(self, like: Path | None) -> None:
+        """Locate the balls in the recording that is there, by the colours as they are now."""
+        if self.session is None:
+            raise ConfigError("nothing is recorded yet: record the body first")
+        work = partial(self._find, session=self.session, radius_mm=self.radius_mm, like=like)
+        self.bench.begin("looking for the balls", work, waits=True)
+
+    def _find(self, job: Job, session: Path, radius_mm: float, like: Path | None) -> str:
+        bench = self.bench
+        job.title = f"looking for the balls in {session.name}"
+        found = self.colors.find(session, bench.registry, radius_mm, like, job.progress)
+        out = bench.folder / studio_api.next_free(bench.folder, "body", ".toml")
+        api.write_body(out, self.colors.named(found).body)
+        self.found, self.session, self.out = found, session, out
+        bench.body = out
+        self.look(like, is_new=False)
+        return f"{out.name}: {len(found.body.balls)} balls, {found.frame_sets} frame sets"
+
+    def chips(self) -> list[tuple[str, str]]:
+        """Each ball's colour that is listed, and what is so of it."""
+        bench, colors = self.bench, self.colors
+        inside = self.found.body.names if self.found is not None else ()
+        several = min(_SEEN_BY, len(bench.names)) or 1
+        called = {given: color for color, given in colors.names.items()}
+        views = [
+            [called.get(ball, ball) for ball in bench.preview.balls(name)] for name in bench.names
+        ]
+        if bench.looks:  # Else what was seen before stays
+            self.seen = {
+                ball for some in views for ball in some if sum(ball in v for v in views) >= several
+            }
+        states = {ball: "in the body" for ball in inside if ball not in colors.left_out}
+        states |= {ball: "learnt" for ball in colors.learnt if ball not in states}
+        if self.found is None or self.is_changed:
+            more = sorted(self.seen - states.keys() - colors.left_out)
+            states |= dict.fromkeys(more, "seen")
+        return [*states.items(), *((ball, "left out") for ball in sorted(colors.left_out))]
 
     def figures(self) -> str:
         """What was found, with standard deviations."""
         if self.found is None:
             return ""
-        sides = {f"{a} - {b}": length for (a, b), length in self.found.distances.items()}
-        sides |= {f"{ball}, radius": size for ball, size in self.found.seen_radii.items()}
+        found = self.colors.named(self.found)
+        sides = {f"{a} - {b}": length for (a, b), length in found.distances.items()}
+        sides |= {f"{ball}, radius": size for ball, size in found.seen_radii.items()}
         return "\n".join(f"{what}  {mm:.3f} ± {sd:.3f} mm" for what, (mm, sd) in sides.items())
-
-
-def like(bodies: list[Path]) -> Path:
-    """The body whose names, colours and frame are used: what was chosen, or the paper's."""
-    return bodies[0] if bodies else api.shipped_targets()["raven_three_ball"]
 
 
 def add(bench: Bench) -> None:
@@ -142,93 +169,122 @@ def add(bench: Bench) -> None:
         with page(bench, "/body"):
             intro(
                 "Turn the body slowly before the cameras while it is recorded: its balls are found "
-                "by their colours. One that is not found: choose its name, and click it.",
+                "by their colours. Click a ball that is not outlined.",
                 drawings.body_in_hand(),
             )
-            body = _settings(bench, making)
+            like = _settings(bench, making)
             told(making.figures, "figure", "data-body")
             told(lambda: _judgement(making), "hint")
-            shown = _learnt(bench, making, body)
+            _chips(making, like)
             with pictures():
                 for one in bench.cameras:
-                    _camera(bench, making, body, one.name, shown)
+                    _camera(bench, making, like, one.name)
             if not bench.cameras:
                 empty("The cameras' pictures come here: step 1, Cameras, adds them.")
-            making.look(chosen(bench, body))
+            with suppress(MeasureError):  # too few colours are left, which was told then
+                making.look(like(), is_new=making.is_changed)
 
 
-def _settings(bench: Bench, making: _Making) -> ui.select:
-    """How it is recorded, and which body it is like."""
+def _settings(bench: Bench, making: _Making) -> Callable[[], Path | None]:
+    """How it is recorded; gives which body it is like."""
     there = studio_api.contents_of(bench.folder)
 
-    def names() -> list[str]:
-        return [*api.read_body(like(chosen(bench, body))).names]
+    def like() -> Path | None:
+        return next(iter(chosen(bench, body)), None)
 
     async def other() -> None:
-        ball.set_options(names(), value=None)
-        await tried(lambda: making.look(chosen(bench, body)))
+        await tried(lambda: making.look(like()))
 
     with ui.row().classes("line"):
         act(
             "Record and measure the body",
             "straighten",
-            lambda: making.measure(chosen(bench, body), chosen(bench, calibration)),
+            lambda: making.measure(like(), next(iter(chosen(bench, calibration)), None)),
             primary=True,
         )
+        again = act("Search the recording again", "refresh", lambda: making.search_again(like()))
         for label, value in (("Radius of the balls, mm", "radius_mm"), ("Seconds", "seconds")):
-            ui.number(label, min=0.1).bind_value(making, value)
-        first = [*api.read_body(like([])).names]
-        making.ball = making.ball if making.ball in first else None
-        ball = ui.select(first, label="Ball to click").classes("field")
-        ball.bind_value(making, "ball")
-    with details("More: names and colours, calibration"), ui.row().classes("line"):
+            ui.number(label, min=0.1).bind_value(making, value).classes("field")
+    with details("More: names and colours of a body file, calibration"), ui.row().classes("line"):
         body = choice("Names and colours as in", bench, there.bodies, newest=False)
         calibration = choice("Calibration", bench, there.calibrations)
         body.on_value_change(other)
-    return body
+    kept_so(0.5, lambda: again.set_visibility(making.is_changed and not bench.busy))
+    return like
 
 
-def _learnt(bench: Bench, making: _Making, body: ui.select) -> ui.refreshable[..., None]:
-    """The colours that were learnt, each with its name and a button that takes it away."""
+def _chips(making: _Making, like: Callable[[], Path | None]) -> None:
+    """The balls by their colours, in a place of fixed height: pictures do not move."""
 
     @ui.refreshable
-    def swatches() -> None:
-        with ui.row().classes("line learnt"):
-            for ball, samples in making.colors.items():
-                b, g, r = np.median(samples, axis=0).astype(int)
-                with ui.element("div").classes("swatch").props(f'data-learnt="{ball}"'):
-                    ui.element("span").style(f"background: rgb({r} {g} {b})")
-                    ui.label(f"{ball}, as it was clicked")
-                    remove = ui.button(icon="close", color=None).props("flat dense round size=sm")
-                    remove.props(f'aria-label="forget the colour of {ball}"')
+    def listed() -> None:
+        shown = making.chips()
+        if not shown:
+            ui.label("Balls that are found are listed here, with their colours.").classes("hint")
+        for color, state in shown:
+            _chip(making, like, color, state, listed.refresh)
 
-                    async def forget(ball: str = ball) -> None:
-                        await tried(lambda: making.forget(ball, chosen(bench, body)))
-                        swatches.refresh()
+    with ui.row().classes("chips").props("data-chips"):
+        listed()
+    before = making.chips()
 
-                    remove.on_click(forget)
+    def show() -> None:
+        nonlocal before
+        if (now := making.chips()) != before:
+            before = now
+            listed.refresh()
 
-    swatches()
-    return swatches
+    ui.timer(1.0, show)
+
+
+def _chip(
+    making: _Making,
+    like: Callable[[], Path | None],
+    color: str,
+    state: str,
+    refresh: Callable[[], object],
+) -> None:
+    """A ball's colour, its name to edit, and a button that leaves it out or adds it."""
+    out = state == "left out"
+
+    async def swap() -> None:
+        how = making.colors.add if out else making.colors.leave_out
+        await tried(lambda: making.change(like(), partial(how, color)))
+        refresh()
+
+    async def rename() -> None:
+        await tried(lambda: making.call(color, name.value or ""))
+
+    with ui.element("div").classes("chip") as chip:
+        chip.props["data-ball"] = color
+        put(chip, "out", out)
+        put(chip, "sure", state == "in the body")
+        rgb = making.colors.rgb(color)
+        ui.element("span").classes("swatch").style(f"background: rgb({' '.join(map(str, rgb))})")
+        name = ui.input(value=making.colors.name(color)).props("dense borderless")
+        name.props["aria-label"] = f"name of the {color} ball"
+        name.on("blur", rename).on("keydown.enter", rename)
+        ui.label(state).classes("state-of")
+        what = "search for" if out else "leave out"
+        swapping = ui.button(icon="add" if out else "close", on_click=swap, color=None)
+        swapping.props("flat dense round size=sm")
+        swapping.props["aria-label"] = f"{what} {color}"
 
 
 def _judgement(making: _Making) -> str:
     if (found := making.found) is None:
         return ""
     return (
-        f"{found.frame}; each coordinate known to {found.body.tolerance_mm:.3f} mm, "
-        f"reprojection error {found.rms_px:.2f} px RMS; radii from the outlines"
+        f"Each coordinate is known to {found.body.tolerance_mm:.3f} mm, reprojection error "
+        f"{found.rms_px:.2f} px RMS. {found.frame[0].upper()}{found.frame[1:]}."
     )
 
 
-def _camera(
-    bench: Bench, making: _Making, body: ui.select, name: str, learnt: ui.refreshable[..., None]
-) -> None:
+def _camera(bench: Bench, making: _Making, like: Callable[[], Path | None], name: str) -> None:
     async def click(at: events.GenericEventArguments) -> None:
         u, v = at.args
-        if said := await tried(lambda: making.pick(chosen(bench, body), name, (u, v))):
-            tell(said, "warning" if isinstance(said, Hint) else "positive")
-            learnt.refresh()
+        if said := await tried(lambda: making.pick(like(), name, (u, v))):
+            tell(said, "positive")
 
     card = camera_card(bench, name, line=lambda: f"{name}: {_balls(bench, name)}")
     card.on("click", click, js_handler="(e) => e.target.naturalWidth && emit(...sharesOf(e))")
@@ -236,6 +292,8 @@ def _camera(
 
 def _balls(bench: Bench, name: str) -> str:
     """Which balls a camera sees, once it was looked for them."""
+    if not bench.looks:
+        return "in use" if bench.busy else "not searched"
     if not bench.preview.has_looked(name):
         return "looking for balls ..."
     return ", ".join(bench.preview.balls(name)) or "no ball found"

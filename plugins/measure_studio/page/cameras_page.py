@@ -24,7 +24,7 @@ from measure_studio.page.layout import (
     page,
     picture,
     pictures,
-    put,
+    show_state,
     tell,
     tried,
     typed,
@@ -127,7 +127,8 @@ def _seldom(bench: Bench) -> None:
 
     async def look() -> None:
         bench.body = next(iter(chosen(bench, body)), None)
-        await tried(bench.look_for_balls)
+        bodies = [api.read_body(bench.body)] if bench.body is not None else []
+        await tried(lambda: bench.look_for(bodies))
 
     def set_controls() -> str:
         if bench.request is None:
@@ -179,7 +180,7 @@ def _card(
             labels = {what: (ui.label(what), ui.label())[1] for what in _FACTS}
 
     def show() -> None:
-        put(card, "away", bool(bench.problem(name)))
+        show_state(bench, name, card)
         for what, (text, kind) in _told(bench, name).items():
             labels[what].text = text
             labels[what].classes(replace=kind)
@@ -189,8 +190,9 @@ def _card(
 
 def _told(bench: Bench, name: str) -> dict[str, tuple[str, str]]:
     """What each line says, and how it is meant."""
-    problem, balls = bench.problem(name), bench.preview.balls(name)
-    told = {"state": (problem or "delivers", "wrong" if problem else "good")}
+    (state, why), balls = bench.state(name), bench.preview.balls(name)
+    kind = {"live": "good", "away": "wrong", "held": ""}[state]
+    told = {"state": (why or "delivers", kind)}
     if name in bench.now:
         count = bench.now[name].count
         lost = "weak" if count.outages or count.refused else ""
@@ -202,8 +204,8 @@ def _told(bench: Bench, name: str) -> dict[str, tuple[str, str]]:
         often = len(count.outages)
         away = f"away {often} times" if often > 1 else "away once" if often else "never away"
         told["drops"] = f"{away}, {count.refused} torn pictures", lost
-        looked = bench.body is not None and bench.preview.has_looked(name)
-        none = "choose a body under More" if bench.body is None else "none" if looked else "..."
+        looked = bench.looks and bench.preview.has_looked(name)
+        none = "none" if looked else "..." if bench.searched else "choose a body under More"
         told["balls"] = ", ".join(balls) or none, ""
     facts = bench.preview.facts(name)
     return told if facts is None else told | _judged(facts)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from html import escape
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 from urllib.parse import quote
 
 from nicegui import run, ui
@@ -16,11 +18,12 @@ from measure.errors import MeasureError
 from measure_studio import api as studio_api
 from measure_studio.page.bench import Bench
 from measure_studio.page.steps import STEPS, step_of
-from measure_studio.page.words import plain
+from measure_studio.page.words import grouped, plain
 
 _T = TypeVar("_T")
 Drawn = Callable[[], str]
 """Gives what is drawn into a picture: SVG in the picture's px, empty for nothing."""
+_NEWS_S = 15.0  # How long the foot says how something ended
 HELP = "/help"
 """Where words and findings of all steps are explained."""
 WIDTH_PX = 720
@@ -41,6 +44,7 @@ def page(bench: Bench, path: str) -> Iterator[None]:
         help_link = ui.link("Help", f"{HELP}#{STEPS[here].name.lower()}", new_tab=True)
         help_link.classes("help").props("data-help")
     with ui.column().classes("page") as body:
+        _problem(bench)
         yield
     with ui.footer().classes("foot"):
         _job_line(bench)
@@ -84,8 +88,7 @@ def _next_link(here: int) -> ui.link | None:
 
 
 def _job_line(bench: Bench) -> None:
-    """What goes on, how far it is, and how it ended; else how the cameras are."""
-    known = bench.job  # What ended before this page was opened is over: its error, too
+    """What goes on, how far it is, and for a while how it ended; else how the cameras are."""
     with ui.element("div").classes("job").props('role="status"'):
         text = ui.label().classes("lines")
         bar = ui.linear_progress(0.0, show_value=False).props('rounded aria-label="progress"')
@@ -94,14 +97,40 @@ def _job_line(bench: Bench) -> None:
 
     def show() -> None:
         job = bench.job
-        is_over = job is not None and not job.runs and job.problem and (job is known)
-        told = job.told() if job is not None and not is_over else ""
-        text.set_text(plain(told, bench.folder) or bench.cameras_told())
-        put(text, "wrong", bool(job is not None and job.problem and not is_over))
+        is_news = job is not None and not job.problem and time.monotonic() - job.ended_s < _NEWS_S
+        said = job.told() if job is not None and is_news else ""
+        after = ", ".join(title for title, _ in bench.waiting)
+        said += f"; then: {after}" if after else ""
+        text.set_text(plain(said, bench.folder) or bench.cameras_told())
         share = job.share if job is not None and job.runs else None
         bar.set_visibility(share is not None)
         bar.value = share or 0.0
         stop.set_visibility(bench.busy)
+
+    kept_so(0.3, show)
+
+
+def _problem(bench: Bench) -> None:
+    """Why what was done last failed, until something else is done or it is put away."""
+    known = bench.job  # What ended before this page was opened is over
+    with ui.row().classes("alert line no-wrap").props('role="alert"') as shown:
+        ui.icon("error").classes("shape")
+        text = ui.label().classes("lines")
+        closing = ui.button(icon="close", color=None).props(
+            'flat dense round aria-label="put away"'
+        )
+
+    def put_away() -> None:
+        nonlocal known
+        known = bench.job
+
+    closing.on_click(put_away)
+
+    def show() -> None:
+        job = bench.job
+        problem = job.problem if job is not None and not job.runs and job is not known else ""
+        text.set_text(plain(problem, bench.folder))
+        shown.set_visibility(bool(problem))
 
     kept_so(0.3, show)
 
@@ -112,6 +141,33 @@ def intro(sentence: str, drawing: str = "") -> None:
         ui.label(sentence).classes("sentence")
         if drawing:
             ui.html(drawing, sanitize=False).classes("by-hand")
+
+
+_LEVELS = {"wrong": "✕", "weak": "▲", "note": "·"}
+"""Findings are told by their shape as well as by their colour."""
+
+
+def findings_shown(findings: Iterable[Any], cameras: Sequence[str]) -> str:
+    """Findings as an HTML list, the gravest first; notes are folded away.
+
+    What is found of several cameras alike stands in one line.
+    """
+    by_level: dict[str, list[str]] = {level: [] for level in _LEVELS}
+    for one in findings:
+        where = f"{one.camera}: " if one.camera else ""
+        by_level[one.level.value].append(f"{where}{one.text}")
+    listed = {
+        level: "".join(
+            f'<li class="{level}"><b>{_LEVELS[level]} {level}</b> {escape(plain(text))}</li>'
+            for text in grouped(texts, cameras)
+        )
+        for level, texts in by_level.items()
+    }
+    notes = (
+        f"<details><summary>Details (nothing to do)</summary><ul>{listed['note']}</ul></details>"
+    )
+    grave = listed["wrong"] + listed["weak"]
+    return f"<ul>{grave}</ul>" * bool(grave) + notes * bool(listed["note"])
 
 
 def empty(text: str) -> ui.label:
@@ -149,8 +205,8 @@ async def tried(work: Callable[[], _T]) -> _T | None:
 
 
 def tell(text: str, kind: Literal["positive", "warning", "negative", "info"] = "info") -> None:
-    """A note for some seconds, at the top: the foot stays to be read."""
-    ui.notify(text, type=kind, position="top", multi_line=True, timeout=8_000)
+    """A note for some seconds, above the foot."""
+    ui.notify(text, type=kind, position="bottom", multi_line=True, timeout=8_000)
 
 
 class Hint(str):
@@ -246,7 +302,7 @@ def camera_card(
     line: Callable[[], str] = str,
     drawn: Drawn | None = None,
 ) -> ui.element:
-    """The picture of a camera with lines below it; red while it is away.
+    """The picture of a camera with lines below it, and its state.
 
     Args:
         line: what the lines say.
@@ -255,9 +311,20 @@ def camera_card(
     with ui.card() as card:
         picture(name, width_px, drawn)
         told(line)
-        # While a board is watched nobody counts pictures, and no camera is called away.
-        ui.timer(0.5, lambda: put(card, "away", name in bench.now and bool(bench.problem(name))))
+    kept_so(0.5, lambda: show_state(bench, name, card))
     return card
+
+
+def show_state(bench: Bench, name: str, card: ui.element) -> None:
+    """A camera's card is framed in red while it is away, its picture veiled while it is in use."""
+    state, why = bench.state(name)
+    job = bench.job
+    took = f", {job.lasted_s:.0f} s" if state == "held" and job is not None and job.runs else ""
+    put(card, "away", state == "away")
+    put(card, "held", state == "held")
+    if card.props.get("data-why") != (why := f"{why}{took}"):
+        card.props["data-why"] = why
+        card.update()
 
 
 def camera_pictures(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -28,13 +29,15 @@ from measure_studio.page.layout import (
     chosen,
     details,
     empty,
-    intro,
+    findings_shown,
+    kept_so,
     page,
     put,
     tell,
     told,
     tried,
 )
+from measure_studio.page.live_view import LiveView
 from measure_studio.page.words import plain
 
 _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
@@ -42,10 +45,27 @@ _OLD_S = 2.0  # After so long without a pose the last one is no longer shown as 
 _TRUTH = "truth.csv"  # In the folder, if there is one
 _WORDS = {"ok": ("OK", "good"), "flagged": ("DOUBTFUL", "weak")}
 """State of a pose in large letters, and its colour; all others are lost."""
+_SHAPES = {"OK": "●", "DOUBTFUL": "▲", "LOST": "✕", "OLD": "◌", "STOPPED": "■"}
+"""States are told by their shape as well as by their colour."""
 _KEYS_OF_FRAME = """(e) => e.target.contentWindow?.addEventListener("keydown", (k) =>
     document.body.dispatchEvent(
         new KeyboardEvent("keydown", {key: k.key, code: k.code, bubbles: true})))"""
 """A frame that was clicked into has the keyboard: what is struck there counts here, too."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a run ended, to be shown in its place."""
+
+    run: str
+    ok: int
+    frame_sets: int
+    seconds: float
+
+    @property
+    def share(self) -> str:
+        """How many of its poses are good."""
+        return f"{self.ok} of {self.frame_sets} poses good"
 
 
 @dataclass
@@ -64,6 +84,10 @@ class _Live:
     goes_on: bool = False
     heard_s: float = 0.0
     heard_at: datetime = datetime.min
+    ended: Ended | None = None
+    findings: Sequence[Any] | None = None  # Of the check of the recording, the worst first
+    compared: str = ""  # with the truth
+    view: LiveView | None = None
     rests: dict[str, lab.RestsSoFar] = field(default_factory=dict)
 
     def record(self, calibrations: list[Path], bodies: list[Path]) -> None:
@@ -72,7 +96,7 @@ class _Live:
         calibration = next(iter(calibrations), None)
 
         def work(job: Job) -> str:
-            self.session, self.run, self.report = None, None, None
+            self._forget()
             recorded = bench.record(job, session, self.seconds, calibration, bodies)
             self.session = session
             pictures = sum(count.pictures for count in recorded.cameras.values())
@@ -95,7 +119,9 @@ class _Live:
         )
 
         def work(job: Job) -> str:
-            self.run, self.session, self.report, self.state = run, None, None, None
+            self._forget()
+            self.run, begun_s = run, time.monotonic()
+            self.view = LiveView(rig)
             self.rests = {body.name: lab.RestsSoFar(body, rig) for body in read}
             with ExitStack() as stack:
                 stack.callback(setattr, bench, "viewer", "")
@@ -115,10 +141,16 @@ class _Live:
                     options=made,
                     on_state=self._hear,
                 ).summary
+            self.ended = Ended(run.name, summary.ok, summary.frame_sets, time.monotonic() - begun_s)
             self.session, self.report = options.record, lab.report(run)
-            return f"{run.name}: {summary.frame_sets} frame sets, {summary.ok} of them believed"
+            return f"{run.name}: {self.ended.share}"
 
         bench.begin(f"measuring {run.name}", work, needs_cameras=True)
+
+    def _forget(self) -> None:
+        """Something new begins."""
+        self.run, self.session, self.report, self.state = None, None, None, None
+        self.ended, self.findings, self.compared, self.view = None, None, "", None
 
     def _next(self, stem: str) -> Path:
         return self.bench.folder / studio_api.next_free(self.bench.folder, stem)
@@ -131,6 +163,8 @@ class _Live:
         for rests, measured in zip(self.rests.values(), state.latest, strict=True):
             rests.add(measured)
             self.bench.preview.note_measured(measured, state.images)
+        if self.view is not None:
+            self.view.note(state.latest)
 
     @property
     def truth(self) -> Path | None:
@@ -157,10 +191,11 @@ class _Live:
 
         def work(job: Job) -> str:
             found = api.check(self.session or Path(), self.bench.registry, progress=job.progress)
-            lines = [f"{one.level.value}: {one.topic}: {one.text}" for one in found.findings]
-            return "; ".join(lines) or "nothing wrong, nothing weak"
+            self.findings = found.findings
+            wrong = sum(one.level.value == "wrong" for one in found.findings)
+            return f"checked: {wrong or 'nothing'} wrong"
 
-        self.bench.begin("checking", work)
+        self.bench.begin("checking the recording", work)
 
     def evaluate(self) -> None:
         """Compare the run with the truth in the folder."""
@@ -169,9 +204,10 @@ class _Live:
         def work(_: Job) -> str:
             found = api.evaluate(self.run or Path(), truth).body
             error = "no pose to compare" if found is None else f"{found.rms_3d_mm:.3f} mm RMS"
-            return f"position error against the truth: {error}"
+            self.compared = f"Position error against the truth: {error}"
+            return "compared with the truth"
 
-        self.bench.begin("evaluating", work)
+        self.bench.begin("comparing with the truth", work)
 
 
 def add(bench: Bench) -> None:
@@ -181,23 +217,31 @@ def add(bench: Bench) -> None:
     @ui.page("/measure")
     def measure() -> None:
         with page(bench, "/measure"):
-            intro("Place the body before the cameras, and measure it until you stop.")
             _settings(bench, live)
-            _figures(live)
-            _afterwards(bench, live)
+            with ui.element("div").classes("duo"):
+                with ui.element("div").classes("watching"):
+                    line = partial(_camera_line, bench)
+                    camera_pictures(bench, line, lambda _: "").classes("fitted")
+                with ui.element("div").classes("saying"):
+                    _figures(live)
+                    _afterwards(bench, live)
+                    _tile(live)
+            _below(live)
             frame = ui.element("iframe").classes("viewer").props('title="3-D viewer"')
             frame.on("load", js_handler=_KEYS_OF_FRAME)
             ui.timer(1.0, lambda: _show_viewer(frame, bench.viewer.partition("?")[2]))
-            camera_pictures(bench, partial(_camera_line, bench), lambda _: "")
 
 
 def _settings(bench: Bench, live: _Live) -> None:
     there = studio_api.contents_of(bench.folder)
     with ui.row().classes("line"):
         begin = act("Measure", "straighten", lambda: live.measure(*given()), primary=True)
+        begin.tooltip("space starts and stops it")
         act("Record", "fiber_manual_record", lambda: live.record(*given()))
         calibration = choice("Calibration", bench, there.calibrations)
         bodies = choice("Bodies", bench, there.bodies, several=True)
+        marking = act("Mark (M)", "flag", lambda: live.mark(what.value))
+        what = ui.input("Event", value="event")
 
     def given() -> tuple[list[Path], list[Path]]:
         return chosen(bench, calibration), chosen(bench, bodies)
@@ -208,28 +252,33 @@ def _settings(bench: Bench, live: _Live) -> None:
         seconds.bind_value(live, "seconds")
         ui.checkbox("keep the pictures").bind_value(live, "keep")
         ui.checkbox("3-D viewer").bind_value(live, "viewer").set_enabled(bench.local)
-    with ui.row().classes("line") as marking:
-        act("Mark (M)", "flag", lambda: live.mark(what.value))
-        what = ui.input("Event", value="event")
 
     def show() -> None:
-        marking.set_visibility(live.goes_on)
+        for element in (marking, what):
+            element.set_visibility(live.goes_on)
+        for element in (calibration, bodies):
+            element.set_visibility(not live.goes_on)
         put(begin, "primary", live.report is None and not bench.busy)  # Else the report is
 
     ui.timer(0.5, show)
 
     async def strike(pressed: events.KeyEventArguments) -> None:
-        if not pressed.action.keydown or pressed.action.repeat or pressed.key != "m":
+        if not pressed.action.keydown or pressed.action.repeat:
             return
-        if said := await tried(lambda: live.mark(what.value)):
-            tell(said, "warning" if isinstance(said, Hint) else "positive")
+        if pressed.key == "m":
+            if said := await tried(lambda: live.mark(what.value)):
+                tell(said, "warning" if isinstance(said, Hint) else "positive")
+        elif pressed.key == " " and bench.busy:
+            bench.stop()
+        elif pressed.key == " ":
+            await tried(lambda: live.measure(*given()))
 
-    ui.keyboard(strike, ignore=["input", "textarea"])
+    ui.keyboard(strike, ignore=["input", "textarea", "select", "button"])
 
 
 def _figures(live: _Live) -> None:
-    """The state in large letters, poses in large figures; rests and events below."""
-    nothing = empty("The state of each body and its pose come here.")
+    """The state in large letters, poses in large figures; after the end how it was."""
+    nothing = empty("").props("data-empty")
     poses = ui.html("", sanitize=False).classes("poses").props("data-pose")
 
     def show() -> None:
@@ -237,16 +286,40 @@ def _figures(live: _Live) -> None:
         nothing.text = (
             "The first pose comes in some seconds ..."
             if live.goes_on
-            else "The state of each body and its pose come here."
+            else "Place the body before the cameras and press Measure: its pose comes here."
         )
         poses.set_visibility(live.state is not None)
         if live.state is not None:
+            age = live.age()
             shown = zip(live.rests, live.state.latest, strict=True)
-            poses.set_content("".join(pose_shown(name, one, live.age()) for name, one in shown))
+            said = "".join(pose_shown(name, one, age, live.goes_on) for name, one in shown)
+            poses.set_content(_stopped(live) + said)
         put(poses, "old", bool(live.age()))
+        put(poses, "ended", not live.goes_on)
 
-    ui.timer(0.3, show)
-    told(lambda: _pace(live.state) if live.state else "", "hint")
+    kept_so(0.3, show)
+    told(lambda: _pace(live.state) if live.state and live.goes_on else "", "hint digits")
+
+
+def _stopped(live: _Live) -> str:
+    """What came of a run that has ended, in the place of its state."""
+    if live.goes_on:
+        return ""
+    if (ended := live.ended) is None:
+        return '<div class="ending"><span class="state">STOPPED</span></div>'
+    return (
+        f'<div class="ending"><span class="state">STOPPED</span>'
+        f'<div class="figure">{escape(ended.share)}</div>'
+        f'<div class="lines">{escape(ended.run)}, {ended.seconds:.0f} s</div></div>'
+    )
+
+
+def _below(live: _Live) -> None:
+    """What the check found, rests and events."""
+    with ui.column().classes("findings") as found:
+        headline = ui.label().classes("figure").props("data-check")
+        listed = ui.html("", sanitize=False)
+    told(lambda: live.compared, "figure")
     with ui.row().classes("line"):
         columns = [
             {"name": name, "label": name, "field": name, "align": "left"} for name in _REST_COLUMNS
@@ -254,40 +327,60 @@ def _figures(live: _Live) -> None:
         rests = ui.table(rows=[], columns=columns).props("flat dense wrap-cells").classes("rests")
         told(lambda: "\n".join(_event_lines(live.run)) if live.run else "", mark="data-events")
 
+    def show() -> None:
+        found.set_visibility(live.findings is not None)
+        if live.findings is not None:
+            wrong = [one for one in live.findings if one.level.value == "wrong"]
+            headline.text = "Something is wrong" if wrong else "The recording is sound"
+            put(headline, "wrong", bool(wrong))
+            put(headline, "good", not wrong)
+            names = live.bench.names
+            listed.set_content(findings_shown(live.findings, names))
+
     async def settle() -> None:
         rests.rows = await tried(lambda: _rest_rows(live)) or []
         rests.set_visibility(bool(rests.rows))
 
+    kept_so(0.5, show)
     ui.timer(2.0, settle)
 
 
-def pose_shown(name: str, measured: api.Measurement, age: str) -> str:
+def pose_shown(name: str, measured: api.Measurement, age: str, goes_on: bool = True) -> str:
     """A body's state and pose as HTML, and below it what speaks against the pose, a line each.
 
     A pose that is not believed is grey, its ± struck out.
     """
     word, kind = _WORDS.get(measured.status.value, ("LOST", "wrong"))
     if age:
-        word, age = "OLD", f"was {word}; {age}"
+        age = f"was {word}; {age}" if goes_on else f"the last pose was {word}, {age}"
+        word, kind = ("OLD", kind) if goes_on else ("STOPPED", kind)
     doubts = [plain(doubt) for doubt in measured.doubts.split("; ") if doubt]
     listed = "".join(f"<li>{escape(doubt)}</li>" for doubt in doubts)
     figures = f'<ul class="doubts">{listed}</ul>' if listed else ""
     if (pose := measured.pose) is not None:
-        x, y, z = pose.world_from_body.translation
-        a, b, c = np.degrees(pose.world_from_body.rotvec)
         sd = "span" if measured.status.value == "ok" else "s"
+        turn = np.degrees(pose.world_from_body.rotvec)
         figures = (
-            f'<div class="figure">x {x:.2f}  y {y:.2f}  z {z:.2f}  '
-            f"<{sd}>± {pose.position_sd_mm:.3f} mm</{sd}>\n"
-            f"turned {a:.2f}  {b:.2f}  {c:.2f}  <{sd}>± {pose.rotation_sd_deg:.3f} deg</{sd}>"
-            f"</div>{figures}"
+            '<table class="pose-table"><caption>position, mm</caption>'
+            f"{_row(pose.world_from_body.translation, pose.position_sd_mm, sd)}</table>"
+            '<table class="pose-table"><caption>rotation vector, deg, world from body</caption>'
+            f"{_row(turn, pose.rotation_sd_deg, sd)}</table>{figures}"
         )
-    state = f'<span class="state {kind}">{word}</span>'
+    large = f'<span class="state {kind}">{_SHAPES[word]} {word}</span>' * (goes_on or not age)
     old = f'<span class="age">{escape(age)}</span>' if age else ""
     return (
         f'<div class="pose {measured.status.value}" data-state="{word}">'
-        f'{state}<span class="whose">{escape(name)}</span>{old}{figures}</div>'
+        f'{large}<span class="whose">{escape(name)}</span>{old}{figures}</div>'
     )
+
+
+def _row(values: Iterable[float], sd: float, tag: str) -> str:
+    """Three figures in places of their own, and their standard deviation."""
+    cells = "".join(
+        f"<td><small>{axis}</small>{value:.2f}</td>"
+        for axis, value in zip("xyz", values, strict=True)
+    )
+    return f"<tr>{cells}<td><{tag}>± {sd:.3f}</{tag}></td></tr>"
 
 
 def _event_lines(run: Path) -> list[str]:
@@ -302,7 +395,7 @@ def _pace(state: studio_api.LiveState) -> str:
     lines = [str(cause.finding) for cause in state.causes[:1]]
     lines += [f"{', '.join(state.away)} away"] if state.away else []
     pace = f"{state.frame_sets} frame sets, {state.rate_hz:.1f} per s"
-    return "; ".join([*lines, f"{pace}, known after {1e3 * state.age_s:.0f} ms"])
+    return "; ".join([*lines, f"{pace}, latency {1e3 * state.age_s:.0f} ms"])
 
 
 def _rest_rows(live: _Live) -> list[dict[str, Any]]:
@@ -315,6 +408,29 @@ def _rest_rows(live: _Live) -> list[dict[str, Any]]:
             far = f"{move.distance_mm:.3f} ± {move.distance_sd_mm:.3f}" if number else ""
             rows.append(dict(zip(_REST_COLUMNS, (name, number, place, far), strict=True)))
     return rows
+
+
+def _tile(live: _Live) -> None:
+    """Cameras, balls, their rays and where they were, in 3-D, while it is measured."""
+    with ui.element("div").classes("tile").props('data-tile aria-label="3-D"') as tile:
+        pass
+    shown: LiveView | None = None
+    draw: Callable[[], None] | None = None
+
+    def show() -> None:
+        nonlocal shown, draw
+        if live.view is not shown:
+            shown = live.view
+            tile.clear()
+            draw = None
+            if shown is not None:
+                with tile:
+                    draw = shown.scene()
+        tile.set_visibility(shown is not None)
+        if draw is not None and live.goes_on:
+            draw()
+
+    ui.timer(0.4, show)
 
 
 def _afterwards(bench: Bench, live: _Live) -> None:

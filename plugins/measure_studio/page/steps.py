@@ -18,9 +18,9 @@ class Step:
 
 
 def _deliver(bench: Bench) -> bool:
-    """Whether there are cameras, and all of them deliver, or did before a job took them."""
-    read = [name for name in bench.names if not (bench.busy and name not in bench.now)]
-    return bool(bench.cameras) and not any(map(bench.problem, read))
+    """Whether there are cameras, and all of them deliver, or are in use."""
+    states = [bench.state(name)[0] for name in bench.names]
+    return bool(states) and "away" not in states and ("held" not in states or bench.job is not None)
 
 
 def _is_calibrated(bench: Bench) -> bool:

@@ -185,12 +185,3 @@ def test_originals_come_before_the_copies_in_recordings(still, tmp_path):
     said = [studio_api.described(file, tmp_path) for file in found.calibrations]
     assert said[0].startswith("calibration.toml · 09 Sep")
     assert said[1].endswith(" · a copy")
-
-
-def test_colours_that_were_learnt_are_read_again(still, tmp_path, rng):
-    given = rng.integers(0, 255, (24, 3), dtype=np.uint8)
-    api.write_body(tmp_path / "colours.toml", api.read_body(still / "body.toml"), {"red": given})
-    (name,) = found = studio_api.learnt_colors(tmp_path / "colours.toml")
-    assert name == "red"
-    assert np.array_equal(found[name], given)
-    assert studio_api.learnt_colors(tmp_path / "none.toml") == {}
