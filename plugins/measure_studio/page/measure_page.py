@@ -121,7 +121,7 @@ class _Live:
         def work(job: Job) -> str:
             self._forget()
             self.run, begun_s = run, time.monotonic()
-            self.view = LiveView(rig)
+            self.view = LiveView(rig.cameras)
             self.rests = {body.name: lab.RestsSoFar(body, rig) for body in read}
             with ExitStack() as stack:
                 stack.callback(setattr, bench, "viewer", "")
@@ -254,10 +254,10 @@ def _settings(bench: Bench, live: _Live) -> None:
         ui.checkbox("3-D viewer").bind_value(live, "viewer").set_enabled(bench.local)
 
     def show() -> None:
-        for element in (marking, what):
-            element.set_visibility(live.goes_on)
-        for element in (calibration, bodies):
-            element.set_visibility(not live.goes_on)
+        marking.set_visibility(live.goes_on)
+        what.set_visibility(live.goes_on)
+        calibration.set_visibility(not live.goes_on)
+        bodies.set_visibility(not live.goes_on)
         put(begin, "primary", live.report is None and not bench.busy)  # Else the report is
 
     ui.timer(0.5, show)
