@@ -21,6 +21,7 @@ _FOOTER = struct.pack("<BQQQL", 0x02, 20, 0, 0, 0) + _MCAP
 """Of an MCAP file without a summary: https://mcap.dev/spec."""
 _CHUNK, _DATA_END = 0x06, 0x0F
 _LARGEST_CHUNK_BYTES = 1 << 28
+_MAX_YAML_BYTES = 8 << 20  # metadata.yaml is read whole, where the rest of a bag is not
 _CUT_OFF = "its end is missing (the recording was cut off): what is whole is read"
 _UNLISTED = "has no metadata.yaml (the recording was cut off): its files are read as they are"
 
@@ -146,7 +147,7 @@ def _files(path: Path, error: type[MeasureError], where: str) -> tuple[list[Any]
         raise error(where + missing_message(path))
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
         if not file.is_dir():  # A pipe in the bag's folder would be waited for
-            check_ordinary(file, error, where)
+            check_ordinary(file, error, where, _MAX_YAML_BYTES if file.suffix == ".yaml" else None)
     parts = _storage(path) if path.is_dir() else [path]
     torn = [file for file in parts if _is_torn(file)]
     is_listed = path.is_dir() and (path / "metadata.yaml").is_file()

@@ -32,14 +32,18 @@ _KINDS = {
 }
 
 
-def check_ordinary(path: Path, error: type[MeasureError], where: str = "") -> int:
+def check_ordinary(
+    path: Path, error: type[MeasureError], where: str = "", most: int | None = None
+) -> int:
     """The size in bytes of a file that can be read from its begin to its end.
 
     Args:
         where: begin of the message.
+        most: bytes that it may have.
 
     Raises:
-        error: it is missing, or a folder, pipe, device or socket: reading those may never end.
+        error: it is missing or larger, or a folder, pipe, device or socket: reading those may
+            never end.
     """
     try:
         there = path.stat()
@@ -50,6 +54,10 @@ def check_ordinary(path: Path, error: type[MeasureError], where: str = "") -> in
     if not stat.S_ISREG(there.st_mode):
         what = kind_of_file(there.st_mode)
         raise error(f"{where}{path}: is {what}, not an ordinary file: give the file itself")
+    if most is not None and there.st_size > most:
+        raise error(
+            f"{where}{path}: has {there.st_size} bytes, and {most} are the most that are read"
+        )
     return there.st_size
 
 
@@ -67,9 +75,7 @@ def read_bytes(path: Path, error: type[MeasureError], most: int, where: str = ""
     Raises:
         error: missing, not an ordinary file, unreadable or larger.
     """
-    size = check_ordinary(path, error, where)
-    if size > most:
-        raise error(f"{where}{path}: has {size} bytes, and {most} are the most that are read")
+    size = check_ordinary(path, error, where, most)
     try:
         # What a device of the kernel's pretends to be a file of no bytes may never end.
         with path.open("rb") as file:
@@ -202,19 +208,19 @@ def csv_rows(
 
 def missing_message(path: Path) -> str:
     """Why `path` cannot be found: the first folder that is not there, or the names that are."""
-    folder = path.parent
+    folder, what = path.parent, "no such file" if path.suffix else "no such file or folder"
     if not folder.is_dir():
-        return f"{path}: no such file; the folder {folder} does not exist either"
+        return f"{path}: {what}; the folder {folder} does not exist either"
     if path.is_symlink():
-        return f"{path}: no such file: it is a link to what does not exist"
+        return f"{path}: {what}: it is a link to what does not exist"
     try:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError:
-        return f"{path}: no such file"
+        return f"{path}: {what}"
     near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.7)
     if near:
-        return f"{path}: no such file; did you mean {' or '.join(near)}?"
-    return f"{path}: no such file; {folder} holds {listed(names)}"
+        return f"{path}: {what}; did you mean {' or '.join(near)}?"
+    return f"{path}: {what}; {folder} holds {listed(names)}"
 
 
 def listed(names: Sequence[str]) -> str:

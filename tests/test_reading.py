@@ -45,7 +45,7 @@ def test_links_that_lead_nowhere(tmp_path: Path) -> None:
     (tmp_path / "gone").symlink_to(tmp_path / "nothing")
     with pytest.raises(SessionError, match="round: cannot be read: Too many levels"):
         check_ordinary(tmp_path / "round", SessionError)
-    with pytest.raises(SessionError, match="gone: no such file: it is a link"):
+    with pytest.raises(SessionError, match="gone: no such file or folder: it is a link"):
         check_ordinary(tmp_path / "gone", SessionError)
 
 

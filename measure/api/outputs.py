@@ -41,10 +41,7 @@ def check_file(out: Path, overwrite: bool, read: Iterable[Path] = ()) -> None:
     there = _nearest_folder(out)
     if out.exists() and any(file.exists() and out.samefile(file) for file in read):
         raise ConfigError(f"{out}: is one of the files to be read: choose another --out")
-    if out.is_symlink():
-        raise ConfigError(
-            f"{out}: is a link to {out.readlink()}: give the file itself, or remove the link"
-        )
+    refuse_link(out)
     if out.is_dir():
         raise ConfigError(f"{out}: is a folder; give the file to write")
     if out.exists() and not out.is_file():
@@ -57,6 +54,15 @@ def check_file(out: Path, overwrite: bool, read: Iterable[Path] = ()) -> None:
     if not os.access(out if out.exists() else there, os.W_OK):
         why = os.strerror(why_unwritable(there))
         raise ConfigError(f"{out}: cannot be written: {why[:1].lower()}{why[1:]}")
+
+
+def refuse_link(out: Path) -> None:
+    """Refuse to write what a link leads to: whoever made it could have anything written over."""
+    if out.is_symlink():
+        kind = "folder" if out.is_dir() else "file"
+        raise ConfigError(
+            f"{out}: is a link to {out.readlink()}: give the {kind} itself, or remove the link"
+        )
 
 
 def check_apart(*outs: Path) -> None:
@@ -120,7 +126,11 @@ def _told(fault: OSError, out: Path, scratch: Path) -> str:
 
 
 def check_folder(out: Path, overwrite: bool, mark: str) -> None:
-    """Refuse a folder that holds something; to be replaced it must hold the file `mark`."""
+    """Refuse a folder that holds something; to be replaced it must hold the file `mark`.
+
+    A link to a folder is refused as one to a file is.
+    """
+    refuse_link(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         if not (out / mark).is_file():
             raise ConfigError(f"{out}: is there already, and holds no {mark}: give a new folder")

@@ -76,8 +76,10 @@ def _explained(tokens: list[str]) -> int:
     except UnicodeEncodeError as error:
         if error.reason != "surrogates not allowed":
             raise
-        near = error.object[max(error.start - 40, 0) : error.end + 40]
-        return _mistake(f"{near}: a name that is not in UTF-8 cannot be written down: rename it")
+        before, after = error.object[: error.start], error.object[error.start :]
+        # In a text that holds the name, TOML say, it stands in quotation marks on one line.
+        name = re.split(r'["\n]', before)[-1] + re.split(r'["\n]', after)[0]
+        return _mistake(f"{name}: a name that is not in UTF-8 cannot be written down: rename it")
     except OSError as error:
         if not (error.errno in _MACHINE_FAULTS or _is_of_a_users_path(error)):
             raise

@@ -131,6 +131,11 @@ def refuse_folder(folder: Path, resume: bool | None, overwrite: bool) -> None:
     """
     if resume and overwrite:
         raise RunError("--resume goes on with a run, --overwrite throws it away: give one of them")
+    if folder.is_symlink():
+        there = folder.readlink()
+        raise RunError(
+            f"{folder}: is a link to {there}: give the folder itself, or remove the link"
+        )
     if folder.exists() and not folder.is_dir():
         raise RunError(f"{folder} is a file: choose a new folder with --out")
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())

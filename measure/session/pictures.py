@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zlib
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +26,7 @@ from measure.errors import SessionError
 from measure.reading import read_bytes
 
 JPEG_START = b"\xff\xd8"
+_PNG_START = b"\x89PNG\r\n\x1a\n"
 JPEG_SCAN, JPEG_END = b"\xff\xda", b"\xff\xd9"
 LIMIT = "MEASURE_MAX_MEGAPIXELS"
 """The variable of the environment that raises the largest size of a picture."""
@@ -35,7 +37,7 @@ _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _ALONE = frozenset({0x01, *range(0xD0, 0xD9)})  # Markers that nothing belongs to
 _READERS = (
     (JPEG_START, JpegImageFile),
-    (b"\x89PNG", PngImageFile),
+    (_PNG_START[:4], PngImageFile),
     (b"BM", BmpImageFile),
     (b"II", TiffImageFile),
     (b"MM", TiffImageFile),
@@ -198,6 +200,49 @@ def held_bits(largest: int) -> int:
     return next(bits for bits in (8, 10, 12, 14, 16) if largest >> bits == 0)
 
 
+_MOST_SCANS = 100  # Of a progressive JPEG, each of which is a pass over the whole picture
+_WINDOW_BYTES, _SEEN_BYTES, _FEW_VALUES = 4096, 256, 100
+"""Of compressed data so many bytes of each window are looked at. Those of a picture have about 160
+different values; where they have fewer, they may unpack to a thousand times as much."""
+_SLACK = 2, 1 << 16  # Times what a PNG's header says, and bytes, that its data may unpack to
+_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # By the colour type of PNG
+
+
+def _refuse_endless(data: bytes, size_wh: tuple[int, int], where: str) -> None:
+    """Refuse (SessionError) a picture whose data hold far more than its header says, undecoded."""
+    if data.startswith(JPEG_START):
+        is_endless = data.count(JPEG_SCAN) > _MOST_SCANS
+    else:
+        is_endless = data.startswith(_PNG_START) and _unpacks_further(data, size_wh)
+    if is_endless:
+        raise SessionError(
+            f"{where}: its data ({len(data)} bytes) unpack to far more than the "
+            f"{size_wh[0]}x{size_wh[1]} px that its header states; remove the file, and its frame "
+            "counts as missing"
+        )
+
+
+def _unpacks_further(png: bytes, size_wh: tuple[int, int]) -> bool:
+    """Whether the data of a PNG hold far more than its header says."""
+    parts, at = list[memoryview](), len(_PNG_START)
+    while at + 8 <= len(png):
+        size = int.from_bytes(png[at : at + 4], "big")
+        if png[at + 4 : at + 8] == b"IDAT":
+            parts.append(memoryview(png)[at + 8 : at + 8 + size])
+        at += 12 + size
+    packed = b"".join(parts)
+    windows = np.frombuffer(packed[: len(packed) // _WINDOW_BYTES * _WINDOW_BYTES], np.uint8)
+    seen = np.sort(windows.reshape(-1, _WINDOW_BYTES)[:, :_SEEN_BYTES], axis=1)
+    if np.all(np.count_nonzero(np.diff(seen, axis=1), axis=1) > _FEW_VALUES):
+        return False
+    bits = size_wh[0] * png[24] * _CHANNELS.get(png[25], 4)
+    most = _SLACK[0] * size_wh[1] * (1 + bits // 8) + _SLACK[1]
+    try:
+        return len(zlib.decompressobj().decompress(packed, most)) >= most
+    except zlib.error:
+        return False  # broken: the decoder says so
+
+
 def _decoded(data: bytes, where: str, mode: int) -> NDArray[Any]:
     # OpenCV fills the rest of a truncated JPEG with grey and says nothing.
     if data.startswith(JPEG_START) and not is_complete_jpeg(data):
@@ -209,6 +254,7 @@ def _decoded(data: bytes, where: str, mode: int) -> NDArray[Any]:
     pixels = None
     if size_wh is not None:
         refuse_huge(size_wh, where)
+        _refuse_endless(data, size_wh, where)
         flags = mode if mode < 0 else mode | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if pixels is None or pixels.dtype not in (np.uint8, np.uint16):

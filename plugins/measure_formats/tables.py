@@ -100,6 +100,10 @@ _HEADINGS = (
     *("OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"),
 )
 CHANNELS = ("time_s", "frame")
+MOST_C3D_FRAMES = 65_534
+"""C3D counts frames in 16 bits. Parameters may hold larger counts (TRIAL:ACTUAL_END_FIELD,
+POINT:LONG_FRAMES), but ezc3d passes over them: it reads the first 65,535 and says nothing; py-c3d
+goes by them, and without them reads none of 65,535."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +172,11 @@ def write_c3d(runs: Sequence[Run], path: Path) -> None:
 
     markers = markers_of(runs)
     count = len(markers.times_s)
+    if count > MOST_C3D_FRAMES:
+        raise RunError(
+            f"{path}: {count} frame sets, and programs read {MOST_C3D_FRAMES} of a C3D file at "
+            "most: export csv, tum, trc or mcap, which hold any number"
+        )
     file = ezc3d.c3d()
     points = file["parameters"]["POINT"]
     points["RATE"]["value"] = [markers.rate_hz]

@@ -342,6 +342,11 @@ def test_a_name_that_is_no_text_is_a_mistake(monkeypatch, tmp_path, capsys):
     _register(monkeypatch, lambda: (tmp_path / "run.toml").write_text("s\udcff", "utf-8"))
     assert main(["try"]) == 2
     assert r"s\udcff: a name that is not in UTF-8 cannot be" in capsys.readouterr().err
+    toml = '[session]\nname = "still"\npath = "/data/f\udcff/rec/session.toml"\nsha256 = "ab"\n'
+    _register(monkeypatch, lambda: (tmp_path / "run.toml").write_text(toml, "utf-8"))
+    assert main(["try"]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith(r"measure: /data/f\udcff/rec/session.toml: a name that is not in UTF-8")
 
 
 @pytest.mark.parametrize("command", commands().values(), ids=lambda one: one.name)

@@ -50,7 +50,7 @@ def test_a_bad_session(recording: Recording, name: str, capsys) -> None:
 
 def test_a_missing_session(recording: Recording, capsys) -> None:
     line = complaint(capsys, "run", recording.path.with_name("recc"), "-o", "x")
-    assert "recc: no such file; did you mean rec?" in line
+    assert "recc: no such file or folder; did you mean rec?" in line
 
 
 def test_an_unknown_plugin_and_its_near_names(recording: Recording, capsys) -> None:

@@ -90,6 +90,15 @@ def test_nothing_is_written_through_a_link(
     assert not there or precious.read_text() == "a thesis"
 
 
+def test_a_run_is_not_written_into_what_a_link_leads_to(recording: Recording, capsys) -> None:
+    there, link = recording.path.with_name("precious"), recording.path.with_name("run")
+    there.mkdir()
+    link.symlink_to(there)
+    line = complaint(capsys, *run_words(recording))
+    assert f"{link}: is a link to {there}: give the folder itself" in line
+    assert not list(there.iterdir())
+
+
 @pytest.mark.parametrize("name", ["summary.json", "poses.arrows"])
 @pytest.mark.parametrize("how", ["--resume", "--overwrite"])
 def test_a_run_writes_through_no_link(recording: Recording, name: str, how: str, capsys) -> None:

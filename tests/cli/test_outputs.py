@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from measure import api
+from measure.api.outputs import check_folder
 from measure.cli import build_app, main
 from measure.errors import CalibrationError, ConfigError, PluginError
 from measure.neighbours import commands
@@ -162,6 +163,10 @@ def test_what_is_no_ordinary_file_is_not_replaced(tmp_path: Path) -> None:
             pass
     assert Path("/dev/null").is_char_device()
     assert pipe.is_fifo()
+    (tmp_path / "real").mkdir()
+    (tmp_path / "to-real").symlink_to(tmp_path / "real")
+    with pytest.raises(ConfigError, match=r"to-real: is a link to .*give the folder"):
+        check_folder(tmp_path / "to-real", True, RECORDING)
 
 
 HOLDING = """

@@ -18,6 +18,7 @@ from measure.host import plain_names
 from measure.results import Run
 from measure.results.exporting import export_run
 from measure.session import able, formats
+from measure_formats import tables
 from tests.results.conftest import BODY, measurement, true_pose, written
 
 LOST = (3, 4)
@@ -106,6 +107,16 @@ def test_c3d(run: Run, tmp_path: Path) -> None:
         assert np.all(points[:, 3] >= 0)
         assert np.allclose(points[:3, :3], pose.apply(BODY.centers), atol=1e-4)
         assert np.allclose(points[3, :3], pose.translation, atol=1e-4)
+
+
+def test_what_c3d_cannot_count_is_refused(run: Run, tmp_path: Path, monkeypatch) -> None:
+    pytest.importorskip("ezc3d")
+    times_s = np.arange(65_535) / 30
+    long = tables.Markers(("a",), times_s, np.zeros((65_535, 1, 3)), 30.0)
+    monkeypatch.setattr(tables, "markers_of", lambda _: long)
+    with pytest.raises(RunError, match=r"x.c3d: 65535 frame sets, and programs read 65534"):
+        export_run([run], "c3d", tmp_path / "x.c3d")
+    assert not (tmp_path / "x.c3d").exists()
 
 
 def test_mcap(run: Run, tmp_path: Path) -> None:

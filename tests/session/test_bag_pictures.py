@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from measure.bags import open_bag
 from measure.calibration import open_capture
 from measure.cli import main
 from measure.errors import CalibrationError, SessionError
@@ -251,6 +252,19 @@ def test_of_a_bag_that_was_cut_off_what_is_whole_is_read(share: float, tmp_path:
             image = cv2.imdecode(np.frombuffer(some[index], np.uint8), cv2.IMREAD_COLOR)
             np.testing.assert_array_equal(stream.read(index).pixels, image)
         stream.close()
+
+
+def test_a_list_without_end_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag/bag.db3").write_bytes(b"SQLite format 3\0")
+    with (tmp_path / "bag/metadata.yaml").open("wb") as file:
+        file.write(b"rosbag2_bagfile_information:\n")
+        file.truncate(1 << 40)
+    with (
+        pytest.raises(SessionError, match=f"has {1 << 40} bytes, and 8388608 are the most"),
+        open_bag(tmp_path / "bag", SessionError),
+    ):
+        pass
 
 
 def test_a_folder_without_its_list_is_read(tmp_path: Path) -> None:

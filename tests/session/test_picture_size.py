@@ -26,16 +26,16 @@ def encoded(kind: str) -> bytes:
     return bytes(data)
 
 
-def png_of(width: int, height: int) -> bytes:
-    """A header that states a size, and pixels of one row."""
+def png_of(width: int, height: int, rows: int = 1) -> bytes:
+    """A header that states a size, and black pixels of some rows."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         check = zlib.crc32(kind + data)
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", check)
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    row = zlib.compress(bytes(3 * width + 1))
-    parts = (b"IHDR", header), (b"IDAT", row), (b"IEND", b"")
+    packed = zlib.compress(bytes(rows * (3 * width + 1)), 9)
+    parts = (b"IHDR", header), (b"IDAT", packed), (b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts)
 
 
@@ -44,6 +44,33 @@ def test_every_kind_states_its_size_and_decodes(kind: str) -> None:
     data = encoded(kind)
     assert picture_size_wh(data) == (64, 48)
     assert decode_picture(data, "x").shape == (48, 64, 3)
+
+
+def test_data_that_unpack_to_more_than_the_header_says_are_refused() -> None:
+    assert decode_picture(png_of(64, 48, 48), "x").shape == (48, 64, 3)
+    with pytest.raises(SessionError, match=r"x: its data \(\d+ bytes\) unpack to far more than"):
+        decode_picture(png_of(64, 48, 100_000), "x")
+    pixels = np.random.default_rng(1).integers(0, 255, (480, 640, 3), dtype=np.uint8)
+    done, noisy = cv2.imencode(".png", pixels)
+    at = bytes(noisy).rfind(b"IEND") - 4
+    packed = bytes(noisy)[: at - 4]  # and zeros follow the picture, in its last part of data
+    assert done
+    assert decode_picture(bytes(noisy), "x").shape == (480, 640, 3)
+    start = packed.find(b"IDAT")
+    unpacked = zlib.decompressobj()
+    raw = b"".join(
+        unpacked.decompress(packed[k + 4 : k + 4 + int.from_bytes(packed[k - 4 : k], "big")])
+        for k in range(start, len(packed))
+        if packed[k : k + 4] == b"IDAT"
+    )
+    data = zlib.compress(raw + bytes(100_000_000), 6)
+    surplus = packed[: start - 4] + struct.pack(">I", len(data)) + b"IDAT" + data
+    surplus += struct.pack(">I", zlib.crc32(b"IDAT" + data)) + bytes(noisy)[at:]
+    with pytest.raises(SessionError, match="unpack to far more than the 640x480 px"):
+        decode_picture(surplus, "x")
+    scans = encoded(".jpg")
+    with pytest.raises(SessionError, match="unpack to far more than the 64x48 px"):
+        decode_picture(scans[:-2] + 200 * b"\xff\xda\x00\x02" + scans[-2:], "x")
 
 
 def deep_recording(path: Path, levels: list[int], channels: int = 3) -> None:

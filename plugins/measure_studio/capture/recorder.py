@@ -174,7 +174,7 @@ def jpeg_of(image: Image) -> bytes:
 
 
 def _cannot_write(folder: Path, problem: OSError) -> CaptureError:
-    return CaptureError(
-        f"{problem.filename or folder}: cannot be written: {problem.strerror}; what was recorded "
-        "before stays"
-    )
+    recorded = any(folder.glob("*/*.jpg")) if folder.is_dir() else False
+    stays = "; what was recorded before stays" if recorded else "; nothing was recorded"
+    where = problem.filename or folder
+    return CaptureError(f"{where}: cannot be written: {problem.strerror}{stays}")

@@ -133,7 +133,8 @@ def device_source(
     path = Path(address)
     if not path.exists():
         there = sorted(str(one) for one in Path("/dev").glob("video*"))
-        raise CaptureError(f"there is no camera {path}; there is {', '.join(there) or 'none'}")
+        others = f"; there is {', '.join(there)}" if there else ", nor any other at this computer"
+        raise CaptureError(f"there is no camera {path}{others}")
     ways = [{**options, "input_format": "mjpeg"}, options]
     source = AvSource(str(path), str(path), ways, "v4l2")
     source.controls = DeviceControls(path, controls)

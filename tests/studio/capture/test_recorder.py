@@ -104,9 +104,12 @@ def test_a_folder_that_vanishes_is_told_in_one_line(tmp_path):
 
     recorder = Recorder(tmp_path / "s", dict.fromkeys(NAMES, "x"))
     shutil.rmtree(tmp_path / "s" / "cam0")
-    with pytest.raises(CaptureError, match="cannot be written: No such file"):
+    with pytest.raises(CaptureError, match=r"be written: No such file.*; nothing was recorded"):
         recorder.add(next(pictures()))
     recorder.close()
+    (tmp_path / "file").touch()
+    with pytest.raises(CaptureError, match=r"cannot be written: .*; nothing was recorded"):
+        Recorder(tmp_path / "file" / "s", dict.fromkeys(NAMES, "x"))
 
 
 @pytest.mark.parametrize(
@@ -140,7 +143,7 @@ def test_full_disk_is_reported_though_closing_fails_too(tmp_path):
     recorder._stamps["cam0"].close()
     full = Path("/dev/full").open("w", encoding="utf-8", buffering=1)  # noqa: SIM115 it is closed
     recorder._stamps["cam0"] = full
-    told = "No space left on device; what was recorded before"
+    told = "No space left on device; nothing was recorded"
     with pytest.raises(CaptureError, match=told), recorder:
         recorder.add(next(pictures()))
 
