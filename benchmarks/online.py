@@ -12,7 +12,6 @@ import argparse
 import json
 import re
 import resource
-import signal
 import subprocess
 import sys
 import time
@@ -143,7 +142,7 @@ def round_trip_lines(
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         done = time_round_trips(client, states, seconds)
         client.close()
-        server.send_signal(signal.SIGINT)  # however late the last state was sent
+        server.terminate()  # however late the last state was sent
         out, _ = server.communicate()
         counts = json.loads(out)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -1,18 +1,20 @@
-"""Worker processes and how they end, progress, clusters to hand work to, optional libraries."""
+"""How processes end, what they may use, progress, clusters to work on, optional libraries."""
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import math
 import multiprocessing
 import os
 import signal
+import stat
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import wait
 from threading import Thread
 from types import FrameType, TracebackType
@@ -92,6 +94,53 @@ _UNWIND_S = 10.0
 
 
 @contextmanager
+def until_stopped(stop: threading.Event | None = None) -> Iterator[threading.Event]:
+    """Turn the first interrupt (Ctrl-C), termination or hang-up of this process into an event.
+
+    A second Ctrl-C ends the process as usual. A signal that is ignored (`nohup`, or `&` of a
+    script) stays so. Outside the main thread, the only one that receives signals, the event is not
+    set by them.
+
+    Args:
+        stop: the event; a new one if omitted.
+
+    Yields:
+        Set once the work is to stop.
+    """
+    stop = stop or threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *_ENDINGS)}
+    heard = {n: handler for n, handler in before.items() if handler is not signal.SIG_IGN}
+
+    def on_signal(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+        leave_closed_terminal()
+        stop.set()
+        # A second termination means no more than the first: `timeout` sends two.
+        if signal.SIGINT in heard:
+            signal.signal(signal.SIGINT, heard[signal.SIGINT])
+
+    for number in heard:
+        signal.signal(number, on_signal)
+    try:
+        yield stop
+    finally:
+        for number, handler in heard.items():
+            signal.signal(number, handler)
+
+
+def leave_closed_terminal() -> None:
+    """Write no more to a terminal that was closed: each line would be an error."""
+    for number in (1, 2):
+        with suppress(OSError):
+            if stat.S_ISCHR(os.fstat(number).st_mode) and not os.isatty(number):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+
+
+@contextmanager
 def unwound_by_signals() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the block as Ctrl-C does: locks and scratch folders are given up.
 
@@ -106,6 +155,7 @@ def unwound_by_signals() -> Iterator[None]:
 
     def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
         nonlocal raised_s
+        leave_closed_terminal()
         if time.monotonic() - raised_s > _TWICE_WITHIN_S:
             raised_s = time.monotonic()
             raise Terminated(number)
@@ -183,6 +233,19 @@ def _wait_for_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+_M_ARENA_MAX = -8  # Of glibc's malloc.h
+
+
+def share_heaps() -> None:
+    """Let the threads that are yet to begin allocate from two heaps, not from one each.
+
+    Those of threads that decode pictures grow and do not shrink: in twenty minutes of live
+    measurement with cameras that come and go they took 75 MB more. Only glibc has such heaps.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 2)
 
 
 def usable_cores() -> int:

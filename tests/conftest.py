@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 # As the command line sets it, and read when NumPy is loaded, here and in every worker: linear
@@ -55,6 +57,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests come first: at the end no worker is left alone with one."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.fixture
+def signals() -> Iterator[None]:
+    """Signals that end a process are as a terminal has them: `nohup`, or `&`, ignores some."""
+    usual = {"SIGINT": signal.default_int_handler, "SIGTERM": signal.SIG_DFL}
+    usual |= {"SIGHUP": signal.SIG_DFL} if hasattr(signal, "SIGHUP") else {}
+    before = {name: signal.signal(getattr(signal, name), one) for name, one in usual.items()}
+    yield
+    for name, one in before.items():
+        signal.signal(getattr(signal, name), one)
 
 
 @pytest.fixture(scope="session")

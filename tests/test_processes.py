@@ -11,6 +11,8 @@ import time
 
 import pytest
 
+from measure.processes import until_stopped
+
 SCRIPT = """
 import os, time
 from {module} import {name}
@@ -84,3 +86,69 @@ def test_they_give_up_what_they_hold_when_their_parent_is_terminated(tmp_path):
     assert not lock.exists()
     with pytest.raises(ProcessLookupError):
         os.kill(worker, 0)
+
+
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_lets_work_end_in_order(name):
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
+    with until_stopped() as stop:
+        signal.raise_signal(number)
+        assert stop.is_set()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)  # the second ends it at once
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGHUP"])
+def test_a_signal_that_is_ignored_stops_nothing(name):
+    number = getattr(signal, name)
+    signal.signal(number, signal.SIG_IGN)
+    with until_stopped() as stop:
+        signal.raise_signal(number)
+        assert not stop.is_set()
+        signal.raise_signal(signal.SIGTERM)
+        assert stop.is_set()
+    assert signal.getsignal(number) is signal.SIG_IGN
+
+
+CLOSED = """
+import fcntl, sys, termios, time
+from contextlib import nullcontext
+from pathlib import Path
+from threading import Event
+from measure.processes import Terminated, until_stopped, unwound_by_signals
+
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+out = Path(sys.argv[1])
+try:
+    with unwound_by_signals(), {} as stop:
+        out.with_suffix(".begun").touch()
+        while not stop.is_set():
+            time.sleep(0.01)
+except Terminated:
+    pass
+print("a line for nobody", flush=True)
+print("another", file=sys.stderr, flush=True)
+out.touch()
+"""
+
+
+@pytest.mark.parametrize("stop", ["until_stopped()", "nullcontext(Event())"])
+def test_a_closed_terminal_lets_work_end_in_order(tmp_path, stop):
+    """Every line that is written to it would be an error."""
+    pty = pytest.importorskip("pty")
+    terminal, theirs = pty.openpty()
+    script, out = tmp_path / "script.py", tmp_path / "out"
+    script.write_text(CLOSED.format(stop))
+    streams = {"stdin": theirs, "stdout": theirs, "stderr": theirs}
+    with subprocess.Popen([sys.executable, script, out], start_new_session=True, **streams) as one:
+        os.close(theirs)
+        while not out.with_suffix(".begun").exists():
+            assert one.poll() is None
+            time.sleep(0.01)
+        os.close(terminal)
+        assert one.wait(30) == 0
+    assert out.exists()

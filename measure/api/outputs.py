@@ -140,10 +140,16 @@ def check_folder(out: Path, overwrite: bool, mark: str) -> None:
 
 @contextmanager
 def new_folder(out: Path, overwrite: bool, mark: str) -> Iterator[None]:
-    """Make way for a folder as `check_folder` lets it; the old one is back if the block fails."""
+    """Make way for a folder as `check_folder` lets it; all is as before if the block fails."""
     check_folder(out, overwrite, mark)
     if not (out / mark).is_file():
-        yield
+        was_there = out.exists()
+        try:
+            yield
+        except BaseException:
+            for made in out.iterdir() if was_there else (out,):
+                rmtree(made, ignore_errors=True) if made.is_dir() else made.unlink(missing_ok=True)
+            raise
         return
     with TemporaryDirectory(prefix=".old-", dir=out.resolve().parent) as aside:
         old = out.resolve().rename(Path(aside) / "old")

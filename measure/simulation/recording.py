@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +35,8 @@ def write_session(
     """Render a scene into a session folder, made if missing; gives the folder.
 
     Pictures of an earlier session in it are removed. The files state `scene.stated_cameras` and
-    `scene.stated_body` where those are given.
+    `scene.stated_body` where those are given. An interrupt ends it after the picture that each
+    thread draws.
 
     Args:
         times_s: (n,) nominal instants, to which every camera adds its phase; or the mid-exposure
@@ -44,16 +47,27 @@ def write_session(
     folder.mkdir(parents=True, exist_ok=True)
     stamps = _camera_times(scene, times_s)
     total, done = sum(len(t) for t in stamps.values()), iter(range(1, 1 << 60))
+    pictures = {name: _write_pictures(scene, name, stamps[name], folder) for name in stamps}
+    over = Event()
 
-    def record(name: str) -> None:
-        rows = np.column_stack([np.arange(len(stamps[name])), stamps[name]])
-        _write_table(folder / f"{name}.csv", ("frame", "time_s"), rows, ("%d", "%.9f"))
-        for _ in _write_pictures(scene, name, stamps[name], folder):
+    def record(name: str, most: int | None = None) -> None:
+        for _ in islice(pictures[name], most):
             if progress is not None:
                 progress(next(done), total)
+            if over.is_set():
+                return
 
+    for name, times in stamps.items():
+        rows = np.column_stack([np.arange(len(times)), times])
+        _write_table(folder / f"{name}.csv", ("frame", "time_s"), rows, ("%d", "%.9f"))
+    # The first picture compiles what draws, which an interrupt of this thread alone ends.
+    record(next(iter(stamps)), 1)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(record, stamps))
+        try:
+            list(pool.map(record, stamps))
+        except BaseException:
+            over.set()
+            raise
     _write_descriptions(scene, tuple(stamps), folder)
     every = np.concatenate(list(stamps.values()))
     first, last = every.min() - _TRUTH_MARGIN_S, every.max() + _TRUTH_MARGIN_S

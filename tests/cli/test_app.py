@@ -24,6 +24,8 @@ from measure.neighbours import commands, load_command
 from measure_studio.cli.live import _StateLines
 from tests.measurements import measurement
 
+pytestmark = pytest.mark.usefixtures("signals")
+
 
 def _register(monkeypatch: pytest.MonkeyPatch, function) -> None:
     """Add a sub-command "try" that calls `function`."""

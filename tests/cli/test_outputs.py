@@ -152,6 +152,23 @@ def test_only_a_folder_of_its_kind_is_replaced(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["session"]
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_of_a_new_folder_nothing_is_left_where_it_was_not_finished(tmp_path: Path, there) -> None:
+    out = tmp_path / "session"
+    if there:
+        out.mkdir()
+
+    def interrupt() -> None:
+        _there(out, "cam0.csv")
+        _there(out / "cam0", "000000.jpg")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), api.new_folder(out, False, RECORDING):
+        interrupt()
+    assert _all_files(tmp_path) == {}
+    assert out.exists() == there
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes that have a name")
 def test_what_is_no_ordinary_file_is_not_replaced(tmp_path: Path) -> None:
     """As root a device node would become a file."""

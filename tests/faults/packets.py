@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import random
 import re
-import signal
 import socket
 import struct
 import subprocess
@@ -173,7 +172,7 @@ def under_flood(name: str, seconds: float = FLOOD_S) -> str:
             done = time_round_trips(client, states, seconds)
             sent = int(flooder.communicate("")[0])
         client.close()
-        server.send_signal(signal.SIGINT)
+        server.terminate()
         counts = json.loads(server.communicate()[0])
     return (
         f"{done.answered} of {done.sent} answered, {done.corrected} corrected; round trip median "

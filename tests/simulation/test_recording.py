@@ -33,6 +33,21 @@ def recorded(tmp_path_factory):
     return scene, folder
 
 
+def test_an_interrupt_ends_all_cameras_after_the_picture_they_draw(tmp_path) -> None:
+    """Whoever meets it: here a thread, by Ctrl-C the one that waits for all of them."""
+    scene, seen = small(async_scene()), []
+
+    def interrupt(done: int, total: int | None) -> None:
+        seen.append(done)
+        if done >= 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_session(scene, np.arange(200) / 30, tmp_path, progress=interrupt)
+    assert len(seen) <= 6 + 2 * len(scene.cameras)
+    assert not (tmp_path / "session.toml").exists()
+
+
 def test_session_reads_back(recorded) -> None:
     scene, folder = recorded
     session = open_session(folder)

@@ -30,7 +30,7 @@ REPEATS = 10
 DARK = "cam3"
 CAMERAS = ("cam0", "cam1", "cam2", DARK)
 BALLS = ("green", "yellow", "red")
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("signals")]
 
 
 @pytest.fixture(scope="module")

@@ -26,13 +26,13 @@ from measure.api.warming_up import warm_pipeline
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.model import Body, Camera, FrameSet, Image
+from measure.processes import share_heaps
 from measure.results import Provenance, RunWriter, Summary, check_run_folder
 from measure.session import Calibration, check_bodies, check_unit, read_body
 from measure_studio.api import recording
 from measure_studio.api.marks import check_marks, marks_received
 from measure_studio.api.sending import Sending, SendOptions, open_sending, sent_pose
 from measure_studio.capture import CameraAddress, CameraCount, Cameras, Gathering, check_names
-from measure_studio.capture.process import share_heaps
 from measure_studio.capture.sources import RECENT, Source
 
 

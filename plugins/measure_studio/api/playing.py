@@ -18,9 +18,9 @@ from measure.api.run_log import LogOptions
 from measure.arrays import Floats
 from measure.errors import ConfigError
 from measure.host import Registry
+from measure.processes import until_stopped
 from measure.results import read_runs
 from measure_studio.api.sending import SendOptions, open_sending
-from measure_studio.capture.process import until_stopped
 
 
 @dataclass(frozen=True)

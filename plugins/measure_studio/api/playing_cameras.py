@@ -14,10 +14,10 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import MeasureError
+from measure.processes import until_stopped
 from measure.session import Stream, open_streams
 from measure_studio.api.playing import Pace
 from measure_studio.capture import jpeg_of, picture_part, serve_cameras
-from measure_studio.capture.process import until_stopped
 
 CAMERA_PORT = 8090  # Where cameras are served if nothing else is asked for
 _STALE_S = 1.0  # Pictures that are later than this are passed over: their reader is too slow

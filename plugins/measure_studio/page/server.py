@@ -78,15 +78,18 @@ def serve(
             Door(_application(bench), token), log_level="warning", timeout_graceful_shutdown=1
         )
         pages.on_shutdown(bench.close)
-        # The server hears both signals, and raises them again when it has ended in order.
+        # The server hears interrupts and this, and raises them again when it has ended in order.
         signal.signal(signal.SIGTERM, lambda *_: None)
         server = uvicorn.Server(config)
         if seconds is not None:
             timer = threading.Timer(seconds, setattr, (server, "should_exit", True))
             timer.daemon = True
             timer.start()
-        with suppress(KeyboardInterrupt):
-            server.run([listening])
+        try:
+            with suppress(KeyboardInterrupt):
+                server.run([listening])
+        finally:
+            bench.close()  # the server does so, unless a closed terminal (SIGHUP) ended it
 
 
 def _listening(host: str, port: int) -> socket.socket:

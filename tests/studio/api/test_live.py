@@ -30,6 +30,8 @@ from tests.camera_server import ServedCamera, serving
 from tests.faults.cameras import FAULTS
 from tests.faults.hostile_camera import LOGIN, TOKEN, HostileCamera, hostile
 
+pytestmark = pytest.mark.usefixtures("signals")
+
 PERIOD_S = 0.1
 """A busy machine may take its time."""
 
@@ -167,7 +169,8 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_request_to_end_ends_it_as_it_should_end(session, tmp_path):
+@pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP"])  # SIGINT: where a camera is away, below
+def test_a_request_to_end_ends_it_as_it_should_end(session, tmp_path, number):
     out = tmp_path / "run"
     with serving(served(session)) as addresses:
         command = words("live", session, addresses, out, "--no-recording", "--images", "none")
@@ -183,7 +186,7 @@ def test_a_request_to_end_ends_it_as_it_should_end(session, tmp_path):
             for line in process.stderr:
                 if "known after" in line:
                     break
-            process.send_signal(signal.SIGTERM)  # SIGINT: where a camera is away, below
+            process.send_signal(getattr(signal, number))
             printed, _ = process.communicate(timeout=60)
         finally:
             process.kill()

@@ -17,6 +17,8 @@ from measure.results import read_run
 from tests.faults.hostile_camera import HostileCamera, hostile
 from tests.studio.api.test_live import PERIOD_S, Receiver, words
 
+pytestmark = pytest.mark.usefixtures("signals")
+
 
 @pytest.fixture
 def session(still):

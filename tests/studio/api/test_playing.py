@@ -23,6 +23,8 @@ from tests.receiving import check_same, receiving
 from tests.results.conftest import BODY, measurement, written
 from tests.viewing.reading import column, read_recording
 
+pytestmark = pytest.mark.usefixtures("signals")
+
 FRAMES = 150
 
 
