@@ -86,10 +86,21 @@ def outline_growth(
     return OutlineGrowth(growth, share * np.sqrt(np.outer(variance, variance)))
 
 
-def with_estimated_radii(body: Body, measure: Callable[[Body], OutlineGrowth]) -> Body:
+class FittedRadii(NamedTuple):
+    """A body whose radii are those that its outlines are fitted with."""
+
+    body: Body
+    contradict: bool  # whether the outlines contradict the radii of the file
+
+
+def with_estimated_radii(body: Body, measure: Callable[[Body], OutlineGrowth]) -> FittedRadii:
     """The body with what file and outlines together say of its radii.
 
-    The radii of the file stay unless the outlines contradict them; their covariance shrinks.
+    Where the outlines contradict the file, the radii are estimated from both. Else the balls are
+    as large as the file says, and only what makes one ball's outlines larger than the others' in
+    all cameras, as a colour can, is taken into the radii that outlines are fitted with. Growth that
+    all balls have in common needs no such care: the edge offset of each camera takes it up.
+    Growth of single balls is shrunk by the share that noise has in it (James and Stein 1961).
 
     Args:
         measure: how much larger the outlines of a body are than expected; called a second time
@@ -105,9 +116,14 @@ def with_estimated_radii(body: Body, measure: Callable[[Body], OutlineGrowth]) -
         shown = first._replace(growth_mm=way)
     gone, covariance = _posterior(body, shown)
     if shown.contradicts(body):
-        return body.with_radii(body.radii + gone, covariance)
+        return FittedRadii(body.with_radii(body.radii + gone, covariance), True)
+    own = first.growth_mm - first.growth_mm.mean()
+    noise = (1 - _COMMON_VARIANCE) * np.mean(np.diag(first.covariance_mm2))
+    spread = max(own @ own / (len(own) - 1), noise)
+    own *= 1 - noise / spread
     # What the radii may be off by, by the outlines, counts as their uncertainty.
-    return body.with_radii(body.radii, covariance + np.outer(gone, gone))
+    left = gone - own
+    return FittedRadii(body.with_radii(body.radii + own, covariance + np.outer(left, left)), False)
 
 
 def _posterior(body: Body, shown: OutlineGrowth) -> tuple[Floats, Floats]:

@@ -12,8 +12,6 @@ from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import islice
 
-import numpy as np
-
 from measure.errors import MeasureError
 from measure.estimation.lateral_color import with_lateral_color
 from measure.host import Detector, SelfCalibratingDetector
@@ -77,9 +75,8 @@ def calibrated(
         measured = _measured(_with(build(body, cameras), known[body]), again)
         return ball_radii.outline_growth(ball_radii.seen_balls(measured), body, cameras)
 
-    body = ball_radii.with_estimated_radii(given, growth)
-    same = np.array_equal(body.radii, given.radii)
-    detectors = known[given] if same else detectors_for(body)
+    body, contradict = ball_radii.with_estimated_radii(given, growth)
+    detectors = detectors_for(body) if contradict else known[given]
     return _with(build(body, cameras), detectors, pipeline.stages.smoothing)
 
 
