@@ -26,6 +26,8 @@ class ServedCamera:
         late_s: how much later than taken each picture is sent, in turn.
         breaks_after: pictures after which the connection breaks off in the middle of one.
         password: asked for, with any user's name.
+        challenges: by which it is asked for; any answer to a digest challenge is taken.
+        answers: the `Authorization` headers that came.
         taken_s: when each picture that was sent was taken, `time.time`, and which it was.
     """
 
@@ -37,6 +39,8 @@ class ServedCamera:
     late_s: Sequence[float] = (0.0,)
     breaks_after: int | None = None
     password: str | None = None
+    challenges: Sequence[str] = ()
+    answers: list[str] = field(default_factory=list)
     taken_s: list[tuple[float, int]] = field(default_factory=list)
 
     def parts(self, begun: float) -> Iterator[bytes]:
@@ -73,12 +77,18 @@ class _Handler(CameraHandler):
             self.end_headers()
             self.wfile.write(next(iter(self.cameras.values())).pictures[0])
         elif camera in self.cameras and not self._is_allowed(self.cameras[camera]):
-            self.send_error(401)
+            self.send_response(401)
+            for one in self.cameras[camera].challenges:
+                self.send_header("WWW-Authenticate", one)
+            self.end_headers()
         else:
             super().answer(camera)
 
     def _is_allowed(self, camera: ServedCamera) -> bool:
         token = self.headers.get("Authorization", "").removeprefix("Basic ")
+        camera.answers.append(token)
+        if token.startswith("Digest "):
+            return True
         given = base64.b64decode(token).decode().partition(":")[2]
         return camera.password is None or given == camera.password
 

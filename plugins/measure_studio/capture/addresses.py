@@ -44,7 +44,9 @@ class CameraAddress:
     @property
     def holds_secret(self) -> bool:
         """Whether it may hold a password; what mjpg-streamer's addresses end with is none."""
-        plain = self.address.removesuffix("?action=stream")
+        # What follows a # names the certificate that is trusted.
+        plain = self.address.partition("#")[0] if "://" in self.address else self.address
+        plain = plain.removesuffix("?action=stream")
         return shown(plain) != plain
 
     def below(self, folder: Path) -> CameraAddress:

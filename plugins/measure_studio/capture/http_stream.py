@@ -12,10 +12,12 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from http import HTTPStatus
-from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection, IncompleteRead
+from http.client import HTTPConnection, HTTPException, HTTPResponse, IncompleteRead
 from typing import Any, cast
 
 from measure.errors import CaptureError
+from measure.limits import MOST_LETTERS
+from measure_studio.capture.login import answer_to, connected
 from measure_studio.capture.sources import PATIENCE_S
 from measure_studio.capture.web_address import WebAddress, shown
 
@@ -69,7 +71,8 @@ class HttpStream(io.RawIOBase):
 def open_stream(address: str) -> Iterator[tuple[HTTPResponse, HttpStream]]:
     """Ask for a stream, and follow redirections.
 
-    Login and password go to the address that they were given for, and nowhere else.
+    Login and password go to the address that they were given for, and nowhere else; a camera that
+    asks for a digest login gets no password at all.
 
     Yields:
         The answer, of which the head is read, and what sets the limits of the rest.
@@ -85,19 +88,24 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, HttpStream]]:
             f"{where}: invalid address: write special characters of user name and password as %XX"
         ) from None
     try:
-        for _ in range(1 + _MAX_REDIRECTIONS):
-            kind = HTTPSConnection if place.scheme == "https" else HTTPConnection
-            with closing(kind(place.place, timeout=PATIENCE_S)) as connection:
-                _ask(connection, place.target, first.login if place.origin == first.origin else "")
+        said = ""
+        for _ in range(2 + _MAX_REDIRECTIONS):
+            is_own = place.origin == first.origin
+            with closing(connected(place, first.fragment if is_own else "", where)) as connection:
+                _ask(connection, place.target, said)
                 stream = HttpStream(connection.sock)
                 answer = HTTPResponse(cast("socket.socket", stream), method="GET")
                 with closing(answer):
                     answer.begin()
-                    if answer.status not in _REDIRECTIONS:
+                    asks = answer.status == HTTPStatus.UNAUTHORIZED
+                    if asks and first.login and is_own and not said:
+                        said = _login(answer, first.login, place.target, where)
+                    elif answer.status in _REDIRECTIONS:
+                        place, said = _redirected(place, answer, where), ""
+                    else:
                         _check_status(answer.status, first, place, where)
                         yield answer, stream
                         return
-                    place = _redirected(place, answer, where)
     except (OSError, ValueError, HTTPException) as problem:
         raise CaptureError(f"{where}: {_text(problem)}") from None
     raise CaptureError(f"{where}: redirects more than {_MAX_REDIRECTIONS} times")
@@ -106,6 +114,16 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, HttpStream]]:
 def _ask(connection: HTTPConnection, target: str, login: str) -> None:
     headers = {"Accept": "*/*", "Connection": "close"}
     connection.request("GET", target, headers=headers | ({"Authorization": login} if login else {}))
+
+
+def _login(answer: HTTPResponse, login: tuple[str, str], target: str, where: str) -> str:
+    try:
+        return answer_to(answer.headers.get_all("www-authenticate", ()), login, target)
+    except ValueError as problem:
+        raise CaptureError(
+            f"{where}: asks for a login that is not spoken here ({str(problem)[:MOST_LETTERS]}): "
+            "set it to digest or basic, or give its RTSP address"
+        ) from None
 
 
 def _redirected(place: WebAddress, answer: HTTPResponse, where: str) -> WebAddress:
@@ -124,6 +142,9 @@ def _check_status(status: int, first: WebAddress, place: WebAddress, where: str)
     if place.origin != first.origin:
         text += f" after it redirected to {shown(place.url)}"
         text += ", where no password is sent: give that address" * bool(first.login)
+    elif status == HTTPStatus.UNAUTHORIZED:
+        refused = ", and refuses those of the address" * bool(first.login)
+        text += f": asks for user and password{refused}: {first.scheme}://USER:PASSWORD@HOST/..."
     raise CaptureError(text)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from dataclasses import dataclass, field
 from urllib.parse import quote, unquote, urljoin, urlsplit
@@ -37,8 +36,8 @@ class WebAddress:
     scheme: str  # `http` or `https`
     place: str  # host and port, the latter unless it is the scheme's own
     target: str = field(repr=False)  # path and query, escaped
-    # what an `Authorization` header says; empty without a user name.
-    login: str = field(default="", repr=False)
+    login: tuple[str, str] | None = field(default=None, repr=False)  # user name and password
+    fragment: str = field(default="", repr=False)  # what follows a #, which is sent to nobody
 
     @classmethod
     def parse(cls, address: str) -> WebAddress:
@@ -49,15 +48,14 @@ class WebAddress:
         target = quote(parts.path or "/", _KEPT)
         if parts.query:
             target += f"?{quote(parts.query, _KEPT)}"
-        login = ""
+        login = None
         if parts.username is not None:
-            pair = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
-            login = f"Basic {base64.b64encode(pair.encode()).decode()}"
+            login = unquote(parts.username), unquote(parts.password or "")
         host = parts.hostname.encode("idna").decode()
         place = f"[{host}]" if ":" in host else host
         if parts.port not in (None, _PORTS[parts.scheme]):
             place += f":{parts.port}"
-        return cls(parts.scheme, place, target, login)
+        return cls(parts.scheme, place, target, login, parts.fragment)
 
     @property
     def origin(self) -> tuple[str, str]:
