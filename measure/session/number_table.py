@@ -52,7 +52,7 @@ def read_number_table(
     separator = max(_SEPARATORS, key=head.count)  # a comma if none is there
     numbered = csv_rows(text, separator, error, f"{prefix}{path}")
     _, first = next(numbered, (1, []))
-    header = [name.strip() for name in first]
+    header = [name.strip().lstrip("#").strip() for name in first]
     stamp = time_columns(header, time_column) if TIME in needed else None
     found = {*header} if stamp is None else {*header, TIME}
     if missing := [name for name in (*words, *needed) if name not in found]:

@@ -56,10 +56,6 @@ class CameraTable(FileModel):
     def _one_source(self) -> CameraTable:
         if (self.images is None) == (self.video is None):
             raise ValueError(f"camera '{self.name}' needs either images or video")
-        if self.images is not None and self.timestamps is None:
-            raise ValueError(
-                f"camera '{self.name}': images carry no time; give timestamps = \"....csv\""
-            )
         return self
 
 
@@ -322,8 +318,6 @@ def _open_stream(table: CameraTable, folder: Path) -> Stream:
     if table.video is not None:
         return open_video_stream(table.name, folder / table.video, stamps, stamps_path, offset_s)
     assert table.images is not None
-    assert stamps is not None
-    assert stamps_path is not None
     return open_image_stream(
         table.name, folder, table.images, stamps, stamps_path, offset_s, bits=table.bit_depth
     )

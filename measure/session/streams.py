@@ -15,7 +15,7 @@ from measure.model import Image
 from measure.reading import missing_message
 from measure.session import pictures
 from measure.session.files import matching_files
-from measure.session.timestamps import StampErrors, Stamps
+from measure.session.timestamps import StampErrors, Stamps, stamps_in_names
 
 
 class Stream(ABC):
@@ -156,12 +156,14 @@ def open_image_stream(
     name: str,
     folder: Path,
     pattern: str,
-    stamps: Stamps,
-    stamps_path: Path,
+    stamps: Stamps | None,
+    stamps_path: Path | None,
     offset_s: float,
     bits: int | None = None,
 ) -> ImageStream:
     """The files that fit `pattern` in `folder`, matched with their stamps.
+
+    Without stamps their names must hold them (see `stamps_in_names`).
 
     The last number in a file's name is its frame number; if that is not unique (the camera's comes
     last), one that is and that the stamps have. Where names carry no such number,
@@ -175,7 +177,16 @@ def open_image_stream(
     for file in files:
         if file.stat().st_size == 0:
             raise SessionError(f"camera '{name}': {file}: the file is empty (0 bytes)")
+    if stamps is None or stamps_path is None:
+        stamps, stamps_path = stamps_in_names([file.name for file in files]), folder / pattern
+        if stamps is None:
+            raise SessionError(
+                f"camera '{name}': images carry no time; give timestamps = \"....csv\", or name "
+                f"the pictures by their stamps, in ns, say ({files[0].name} holds none)"
+            )
     numbers = _numbers(files, stamps)
+    if stamps.names:
+        files, numbers = _named(name, source, files, stamps_path, stamps)
     if None in numbers or len(set(numbers)) != len(files):
         if len(files) != len(stamps.frames):
             odd = next((f.name for f, n in zip(files, numbers, strict=True) if n is None), "")
@@ -232,6 +243,22 @@ def _numbers(files: Sequence[Path], stamps: Stamps) -> list[int | None]:
         if len(set(numbers)) == len(numbers) and known.issuperset(numbers):
             return list(numbers)
     return last
+
+
+def _named(
+    name: str, source: str, files: list[Path], path: Path, stamps: Stamps
+) -> tuple[list[Path], list[int | None]]:
+    """The files that stamps name, and the frames that they are; refuses files without a stamp."""
+    frames = {Path(n).name: int(f) for n, f in zip(stamps.names, stamps.frames, strict=True)}
+    frames |= {Path(n).stem: f for n, f in frames.items()}
+    found = [frames.get(file.name, frames.get(file.stem)) for file in files]
+    if without := [file.name for file, frame in zip(files, found, strict=True) if frame is None]:
+        raise SessionError(
+            f"camera '{name}': {len(without)} of {len(files)} images in {source} have no row in "
+            f"{path} ({_some(without)}): without a time they cannot be used; add the rows or "
+            "remove the files"
+        )
+    return files, list(found)
 
 
 def _refuse_unstamped(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,12 +13,17 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import SessionError
-from measure.limits import GAP_PERIODS
+from measure.limits import GAP_PERIODS, SINCE_1970_S
 from measure.reading import read_text
-from measure.session.number_table import read_number_table
+from measure.session.number_table import NumberTable, read_number_table
 
 LATEST_S = 1e11  # Latest time of a recording, seconds after 1970
-_MAX_FRAME_NUMBER = 2.0**53  # Largest whole number that is exact in double precision
+_FILE_NAMES = {"filename", "file", "file_name", "image", "image_name", "path", "name"}
+"""Headings of the names of pictures' files."""
+_MAX_FRAME_NUMBER = 2.0**53  # Beyond the whole numbers that are exact, it is a stamp, no count
+_LISTED = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s+([^\s,;]*[A-Za-z/][^,;]*)")
+_NAMED_STAMP = re.compile(r"[0-9]{10,19}(?:\.[0-9]+)?")
+_LATEST_NAMED_S, _DAY_S = 4e9, 86400.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,25 +32,42 @@ class Stamps:
 
     frames: Ints  # (n,) frame numbers, increasing
     times_s: Floats  # (n,) increasing
+    names: tuple[str, ...] = ()  # of the frames' files, where they say which frame is which
 
 
 def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stamps:
-    """Read `frame,time_s` (or see `time_columns`); SessionError with camera, file and line."""
-    table = read_number_table(
-        path, ("frame", "time_s"), f"camera '{camera}': ", time_column=time_column
-    )
-    frames, times = table.columns["frame"], table.columns["time_s"]
+    """Read `frame,time_s` (or see `time_columns`); SessionError with camera, file and line.
+
+    A column of file names (EuRoC's `#timestamp [ns],filename`) stands for frame numbers, and so do
+    stamps of ten or more digits as numbers; TUM's `rgb.txt` has seconds and a path in each line.
+    """
     where = f"camera '{camera}': {path}"
+    text = read_text(path, SessionError)
+    if (listed := _listed(text)) is not None:
+        times, names, lines = listed
+        table = NumberTable({"frame": np.arange(float(len(times))), "time_s": times}, lines, {})
+    else:
+        head = next(filter(str.strip, text.splitlines()), "")
+        header = [name.strip().lstrip("#").strip() for name in re.split("[,;\t]", head)]
+        named = next((name for name in header if name.lower() in _FILE_NAMES), "")
+        needed, words = tuple[str, ...](("frame", "time_s")), tuple[str, ...]()
+        if named and "frame" not in header:
+            needed, words = ("time_s",), (named,)
+        table = read_number_table(
+            path, needed, f"camera '{camera}': ", words=words, time_column=time_column
+        )
+        numbers = table.columns.get("frame", np.zeros(0))
+        if np.any(np.abs(numbers[np.isfinite(numbers)]) > _MAX_FRAME_NUMBER):
+            words = ("frame",)
+            table = read_number_table(path, needed, words=words, time_column=time_column)
+        names = tuple(table.words[words[0]]) if words else ()
+        if names:
+            table.columns["frame"] = np.arange(float(len(names)))
+    frames, times = table.columns["frame"], table.columns["time_s"]
     for i in np.flatnonzero(~np.isfinite(times) | ~np.isfinite(frames) | (frames % 1 != 0)):
         raise SessionError(
             f"{where}:{table.lines[i]}: frame {frames[i]:g} has the time {times[i]:g}; "
             "both must be numbers, the frame a whole one"
-        )
-    for i in np.flatnonzero(np.abs(frames) > _MAX_FRAME_NUMBER):
-        raise SessionError(
-            f"{where}:{table.lines[i]}: frame {frames[i]:.0f}: numbers beyond "
-            f"{_MAX_FRAME_NUMBER:.0f} cannot be told apart; number the frames, and their "
-            "pictures, from 0"
         )
     for i in np.flatnonzero(np.abs(times) > LATEST_S):
         raise SessionError(
@@ -64,7 +86,44 @@ def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stam
             f"{where}:{table.lines[i + 1]}: frame {frames[i + 1]:g} follows frame {frames[i]:g}; "
             "frame numbers must increase"
         )
-    return Stamps(frames.astype(np.int64), times)
+    return Stamps(frames.astype(np.int64), times, names)
+
+
+def _listed(text: str) -> tuple[Floats, tuple[str, ...], list[int]] | None:
+    """Times, names and lines of a list with a time and a path in each line; None if it is none."""
+    times, names, lines = list[float](), list[str](), list[int]()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        found = _LISTED.fullmatch(line.strip())
+        if found is None:
+            return None
+        times.append(float(found.group(1)))
+        names.append(found.group(2))
+        lines.append(number)
+    return (np.array(times), tuple(names), lines) if times else None
+
+
+def stamps_in_names(names: Sequence[str]) -> Stamps | None:
+    """The times that the names of pictures, in order, hold; None if they hold none.
+
+    The last number of each name, if all have ten digits or more, or ten and a fraction: a time of
+    day in s, ms, us or ns, or else one that counts from the begin and makes 1 to 1000 steps a
+    second.
+    """
+    found = [_NAMED_STAMP.findall(Path(name).stem) for name in names]
+    if not all(found):
+        return None
+    texts = [numbers[-1] for numbers in found]
+    values = np.array([float(text) for text in texts])
+    if len(values) > 1 and np.any(np.diff(values) <= 0):
+        return None
+    steps = np.median(np.diff(values)) if len(values) > 1 else np.nan
+    for unit_s in (1.0, 1e-3, 1e-6, 1e-9):
+        of_day = np.all((values * unit_s > SINCE_1970_S) & (values * unit_s < _LATEST_NAMED_S))
+        if of_day or (values[0] * unit_s < _DAY_S and 1e-3 <= steps * unit_s <= 1.0):
+            return Stamps(np.arange(len(values)), values * unit_s, tuple(names))
+    return None
 
 
 _CAMERAS = re.compile(r"\s*\[\[\s*cameras\s*\]\]")

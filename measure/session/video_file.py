@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
@@ -244,38 +245,98 @@ def _packets(
         ) from None
 
 
+_CHAPTER = re.compile(r"(?P<kind>G[HXLS])(?P<chapter>[0-9]{2})(?P<video>[0-9]{4})", re.IGNORECASE)
+_OLD_CHAPTER = re.compile(r"(?P<kind>GP)(?P<chapter>[0-9]{2})(?P<video>[0-9]{4})", re.IGNORECASE)
+_OLD_FIRST = re.compile(r"GOPR(?P<video>[0-9]{4})", re.IGNORECASE)
+
+
+def chapters(path: Path) -> list[Path]:
+    """The files of an action camera's recording that begins with this one, in order.
+
+    GoPro's cameras begin a new file every few minutes: GH010001.MP4, GH020001.MP4 (GX, GL and GS
+    likewise), or GOPR0001.MP4, GP010001.MP4. Of any other file it is that alone. SessionError: a
+    chapter in between is missing.
+    """
+    first, pattern, number = _CHAPTER.fullmatch(path.stem), _CHAPTER, 1
+    if first is None:
+        first, pattern, number = _OLD_FIRST.fullmatch(path.stem), _OLD_CHAPTER, 0
+    if first is None or int(first.groupdict().get("chapter", "0")) != number:
+        return [path]
+    kind = first.groupdict().get("kind", "GP").upper()
+    later = {number: path}
+    for file in path.parent.iterdir():
+        found = pattern.fullmatch(file.stem)
+        if found and file.suffix.lower() == path.suffix.lower():
+            same = found["kind"].upper() == kind and found["video"] == first["video"]
+            if same and int(found["chapter"]) > number:
+                later[int(found["chapter"])] = file
+    if missing := sorted(set(range(number, max(later) + 1)) - set(later)):
+        raise SessionError(
+            f"{path}: has {len(later)} chapters, up to {later[max(later)].name}, and chapter "
+            f"{missing[0]:02d} in between is missing: copy it from the camera"
+        )
+    return [later[k] for k in sorted(later)]
+
+
+def _joined_times_s(indices: Sequence[VideoIndex]) -> Floats:
+    """Times of videos that follow each other without a pause."""
+    times_s, begin = list[Floats](), 0.0
+    for index in indices:
+        own = index.times_s
+        times_s.append(own if own[0] > SINCE_1970_S else begin + own)
+        begin += float(own[-1] + np.median(np.diff(own))) if len(own) > 1 else 0.0
+    return np.concatenate(times_s)
+
+
 class VideoStream(Stream):
     """A video: its own presentation times, or stamps from a file beside it.
+
+    Of an action camera all chapters, one after the other.
 
     Attributes:
         begins_s: the time at which it begins, where its container counts from 1970; else 0.
     """
 
     def __init__(
-        self, name: str, path: Path, index: VideoIndex, stamps: Stamps, offset_s: float
+        self, name: str, parts: Mapping[Path, VideoIndex], stamps: Stamps, offset_s: float
     ) -> None:
+        (path, *more), (index, *others) = parts.keys(), parts.values()
         times_s, notes = stamps.times_s + offset_s, turned_notes(name, index.turned)
-        super().__init__(name, str(path), index.size_wh, stamps.frames, times_s, [path], notes)
+        if more:
+            files = ", ".join(file.name for file in parts)
+            notes = (*notes, f"camera '{name}': {len(parts)} chapters are joined: {files}")
+        for file, other in zip(more, others, strict=True):
+            if other.size_wh != index.size_wh:
+                raise SessionError(
+                    f"camera '{name}': {file} has {other.size_wh[0]}x{other.size_wh[1]} px, "
+                    f"{path.name} {index.size_wh[0]}x{index.size_wh[1]}"
+                )
+        super().__init__(name, str(path), index.size_wh, stamps.frames, times_s, [*parts], notes)
         self.begins_s = float(times_s[0]) if times_s[0] > SINCE_1970_S else 0.0
-        self._reader = VideoReader(path, index)
+        self._readers = [VideoReader(file, one) for file, one in parts.items()]
+        self._ends = np.cumsum([len(one.stamps) for one in parts.values()])
         self._motion_jpeg = index.motion_jpeg
 
     def read(self, index: int) -> Image:
         """The frame at position `index`; of a motion-JPEG video with the recorded JPEG."""
         self.check_index(index)
         where = f"{self.place(index)}: "
-        data = self._reader.jpeg(index, where) if self._motion_jpeg else None
+        chapter = int(np.searchsorted(self._ends, index, side="right"))
+        reader, position = self._readers[chapter], index - int(self._ends[chapter])
+        position += len(reader.index.stamps)
+        data = reader.jpeg(position, where) if self._motion_jpeg else None
 
         def decode() -> Bytes:
             if data is None:
-                return self._reader.picture(index, where)
+                return reader.picture(position, where)
             return decode_picture(data, f"{where}{self.source}")
 
         return self._image(index, decode, data)
 
     def close(self) -> None:
-        """Close the file; reading again opens it again."""
-        self._reader.close()
+        """Close the files; reading again opens them again."""
+        for reader in self._readers:
+            reader.close()
 
 
 def open_video_stream(
@@ -295,13 +356,15 @@ def open_video_stream(
         for open_pictures in able("open_pictures").values():
             return cast("Stream", open_pictures(name, path, stamps, stamps_path, offset_s))
         raise lacking("reading bags of ROS", "measure_formats")
-    index = index_video(path, f"camera '{name}': ")
-    count = len(index.stamps)
+    where = f"camera '{name}': "
+    check_ordinary(path, SessionError, where)
+    parts = {file: index_video(file, where) for file in chapters(path)}
+    count = sum(len(index.stamps) for index in parts.values())
     if stamps is None:
-        stamps = Stamps(np.arange(count), index.times_s)
+        stamps = Stamps(np.arange(count), _joined_times_s([*parts.values()]))
     elif len(stamps.frames) != count:
         raise SessionError(
             f"camera '{name}': {path} has {count} frames but {stamps_path} has "
             f"{len(stamps.frames)} rows; they must be equally many"
         )
-    return VideoStream(name, path, index, stamps, offset_s)
+    return VideoStream(name, parts, stamps, offset_s)

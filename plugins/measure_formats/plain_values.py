@@ -17,7 +17,8 @@ _LONGEST = 1000  # Entries of a list that may describe cameras
 
 READ = (
     "aniposelib's, caliscope's or Pose2Sim's TOML; OpenCV's YAML, XML or JSON (camera_matrix, or "
-    "M1 D1 M2 D2 R T of a stereo pair); Kalibr's camchain; ROS's camera_info (lenses); MC-Calib; "
+    "M1 D1 M2 D2 R T of a stereo pair); Kalibr's camchain, OpenVINS; Basalt; COLMAP's cameras.txt "
+    "beside images.txt; nerfstudio's transforms.json; ROS's camera_info (lenses); MC-Calib; "
     "multical; EasyMocap's intri.yml and extri.yml; Vicon's .xcp; Qualisys' .qca.txt"
 )
 """The end of messages on such files."""

@@ -79,23 +79,40 @@ def _anipose(path: Path, values: Table) -> StatedRig | None:
 
 
 def _kalibr(path: Path, values: Table) -> StatedRig | None:
-    """`camchain.yaml`: each camera's `T_cn_cnm1` takes points from the camera before it, in m."""
+    """`camchain.yaml`: each camera's `T_cn_cnm1` takes points from the camera before it, in m.
+
+    OpenVINS states `T_imu_cam`, world_from_camera, in its place; so may Kalibr `T_cam_imu`.
+    """
     chain = {
         name: table
         for name, table in values.items()
         if isinstance(table, Mapping) and {"intrinsics", "resolution"} <= table.keys()
     }
+    chained = any("T_cn_cnm1" in table for table in chain.values())
     camera_from_world, cameras = np.eye(4), list[StatedCamera]()
     for name, table in sorted(chain.items(), key=lambda pair: (len(pair[0]), pair[0])):
         place = f"{path}: camera '{name}'"
-        fx, fy, cx, cy = _numbers(table["intrinsics"], place, "intrinsics", 4)
+        fx, fy, cx, cy = numbers_in(table["intrinsics"], place, "intrinsics", 4)
         lens = {"camera_matrix": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], **table}
-        if cameras:
-            step = _numbers(table.get("T_cn_cnm1"), place, "T_cn_cnm1", 16)
+        if not chained and (imu := _imu_pose(table, place)) is not None:
+            camera_from_world = imu
+        elif cameras:
+            step = numbers_in(table.get("T_cn_cnm1"), place, "T_cn_cnm1", 16)
             camera_from_world = step.reshape(4, 4) @ camera_from_world
         pose = camera_from_world[:3, :3], camera_from_world[:3, 3]
         cameras.append(_camera(name, place, lens, values, pose))
     return StatedRig("kalibr", tuple(cameras), "m") if cameras else None
+
+
+def _imu_pose(table: Table, place: str) -> Floats | None:
+    """The pose (4, 4) of a camera in the frame of an inertial sensor, if one is stated."""
+    if "T_imu_cam" in table:
+        pose = numbers_in(table["T_imu_cam"], place, "T_imu_cam", 16).reshape(4, 4)
+        turn = pose[:3, :3].T
+        return np.block([[turn, (-turn @ pose[:3, 3])[:, None]], [np.zeros(3), 1.0]])
+    if "T_cam_imu" in table:
+        return numbers_in(table["T_cam_imu"], place, "T_cam_imu", 16).reshape(4, 4)
+    return None
 
 
 def _mc_calib(path: Path, values: Table) -> StatedRig | None:
@@ -105,7 +122,7 @@ def _mc_calib(path: Path, values: Table) -> StatedRig | None:
         if not (isinstance(table, Mapping) and "camera_pose_matrix" in table):
             continue
         place = f"{path}: camera '{name}'"
-        matrix = _numbers(table["camera_pose_matrix"], place, "camera_pose_matrix", 16)
+        matrix = numbers_in(table["camera_pose_matrix"], place, "camera_pose_matrix", 16)
         turn, center = matrix.reshape(4, 4)[:3, :3].T, matrix.reshape(4, 4)[:3, 3]
         cameras.append(_camera(name, place, table, {}, (turn, -turn @ center)))
         groups.add(table.get("camera_group"))
@@ -196,8 +213,8 @@ def _camera(
     own, common = _lower(table), _lower(shared)
     said = [{key: t.get(key) for key in _MODEL} for t in (common, own)]
     models = [stated_model(place, words) for words in said]
-    matrix = _numbers(_first(own, _MATRIX), place, "camera_matrix", 9)
-    distortion = _numbers(_first(own, _DISTORTION), place, "distortion coefficients")
+    matrix = numbers_in(_first(own, _MATRIX), place, "camera_matrix", 9)
+    distortion = numbers_in(_first(own, _DISTORTION), place, "distortion coefficients")
     unsaid = not any(value is not None for words in said for value in words.values())
     if unsaid and distortion.size == 4 and np.abs(distortion[2:]).max() > _MAX_TANGENTIAL:
         raise CalibrationError(
@@ -206,11 +223,11 @@ def _camera(
         )
     turn, shift = _first(own, _ROTATION), _first(own, _TRANSLATION)
     if pose is None and turn is not None and shift is not None:
-        rotation = _numbers(turn, place, "R")
+        rotation = numbers_in(turn, place, "R")
         if rotation.size not in (3, 9):
             raise CalibrationError(f"{place}: its pose is no 3x3 matrix R, nor a vector of 3")
         shape = (3, 3) if rotation.size == 9 else (3,)
-        pose = rotation.reshape(shape), _numbers(shift, place, "T", 3)
+        pose = rotation.reshape(shape), numbers_in(shift, place, "T", 3)
     rms = _first(own, _RMS)
     return StatedCamera(
         name,
@@ -219,7 +236,7 @@ def _camera(
         "fisheye" if "fisheye" in models else "pinhole",
         _size(own, place) or _size(common, place),
         pose,
-        None if rms is None else float(_numbers(rms, place, _RMS[0], 1)[0]),
+        None if rms is None else float(numbers_in(rms, place, _RMS[0], 1)[0]),
     )
 
 
@@ -251,13 +268,13 @@ def _size(table: Table, place: str) -> tuple[int, int] | None:
         given = [_first(table, _WIDTHS), _first(table, _HEIGHTS)]
         if None in given:
             return None
-    width, height = _numbers(given, place, "picture size", 2)
+    width, height = numbers_in(given, place, "picture size", 2)
     if min(width, height) < 1 or not float(width).is_integer() or not float(height).is_integer():
         raise CalibrationError(f"{place}: its picture size is no two whole numbers")
     return int(width), int(height)
 
 
-def _numbers(value: object, place: str, key: str, count: int | None = None) -> Floats:
+def numbers_in(value: object, place: str, key: str, count: int | None = None) -> Floats:
     """Finite numbers (n,), perhaps the `data` of a matrix; none if they are left out.
 
     YAML takes 1e-5 for a text: texts of numbers count as such; a truth value is none.

@@ -17,8 +17,11 @@ from measure.reading import parse_toml
 from measure.session import MM_PER, Calibration, Format, StatedRig, Unit, dump_toml
 from measure_formats.bag_lenses import read_camera_infos
 from measure_formats.plain_values import READ, plain_values
+from measure_formats.rig_slam import read_colmap, read_slam
 from measure_formats.rig_tables import is_foreign_toml, read_tables
 from measure_formats.rig_xml import read_xml
+
+_ZED = {"LEFT_CAM", "RIGHT_CAM"}  # What its tables are called, before the size of the pictures
 
 
 def read_rig(path: Path, text: str) -> StatedRig | None:
@@ -31,10 +34,18 @@ def read_rig(path: Path, text: str) -> StatedRig | None:
         if path.suffix.lower() == ".toml":
             return None
     else:
+        if _ZED & {str(key).upper().rpartition("_")[0] for key in values}:
+            raise CalibrationError(
+                f"{path}: is of a ZED, whose file places the right camera by angles of its own "
+                f"definition: it is not read; {READ}"
+            )
         return read_tables(path, values) if is_foreign_toml(values) else None
     if text.lstrip().startswith("<") and "<opencv_storage" not in text:
         return read_xml(path, text)
-    return read_tables(path, plain_values(path, text))
+    if (rig := read_colmap(path, text)) is not None:
+        return rig
+    values = plain_values(path, text)
+    return read_slam(path, values) or read_tables(path, values)
 
 
 def write_anipose(path: Path, calibration: Calibration) -> None:

@@ -172,6 +172,17 @@ def test_one_camera_is_not_enough():
     assert "no two cameras agree" in found.reason
 
 
+@pytest.mark.parametrize(("unit", "mm"), [("cm", 10.0), ("inches", 25.4)])
+def test_a_body_file_in_another_unit_is_named(unit, mm):
+    balls = (
+        replace(b, center_mm=b.center_mm / mm, radius_mm=b.radius_mm / mm) for b in RAVEN.balls
+    )
+    found = find(rough(a_pose(np.random.default_rng(1))), body=replace(RAVEN, balls=tuple(balls)))
+    assert found.world_from_body is None
+    assert f"all balls are {mm} times as large" in found.reason
+    assert found.reason.endswith(f"is it in {unit}?")
+
+
 def test_triangles_are_put_on_others_by_least_squares():
     rng = np.random.default_rng(3)
     source = rng.normal(0, 50, (3, 3))

@@ -220,3 +220,34 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, write, old: str, new: str,
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(CalibrationError, match=rf"{path.name}: .*{said}"):
         read_calibration(path, pictures=NAMES)
+
+
+SLAM = ["openvins.yaml", "basalt.json", "cameras.txt", "images.txt", "transforms.json"]
+
+
+@pytest.mark.parametrize("name", SLAM)
+def test_rigs_of_slam_and_photogrammetry_are_read(shared: Path, name: str) -> None:
+    true = read_calibration(shared / "renders/still/calibration.toml")
+    found = read_calibration(
+        shared / "inputs/slam_calibrations" / name, pictures=dict.fromkeys(true.names, (1280, 720))
+    )
+    assert found.names == true.names
+    for camera, own in zip(found.cameras, true.cameras, strict=True):
+        off = camera.camera_from_world.difference(own.camera_from_world)
+        assert np.abs(off).max() < 1e-6
+        np.testing.assert_allclose(camera.intrinsics.matrix, own.intrinsics.matrix, atol=1e-6)
+        bent = own.intrinsics.coefficients[:4] * (name != "basalt.json")
+        np.testing.assert_allclose(camera.intrinsics.coefficients[:4], bent, atol=1e-9)
+
+
+def test_a_rig_of_slam_that_lacks_something_is_named(tmp_path: Path, shared: Path) -> None:
+    folder = shared / "inputs/slam_calibrations"
+    with pytest.raises(CalibrationError, match=r"zed.conf: is of a ZED"):
+        read_calibration(folder / "zed.conf")
+    (tmp_path / "cameras.txt").write_text((folder / "cameras.txt").read_text())
+    with pytest.raises(CalibrationError, match=r"COLMAP's lenses, and no images\.txt"):
+        read_calibration(tmp_path / "cameras.txt")
+    text = (folder / "basalt.json").read_text().replace('"pinhole"', '"ds"', 1)
+    (tmp_path / "basalt.json").write_text(text)
+    with pytest.raises(CalibrationError, match=r"camera '0': camera_type is 'ds': of Basalt's"):
+        read_calibration(tmp_path / "basalt.json")

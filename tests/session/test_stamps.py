@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from measure.errors import SessionError
-from measure.session.timestamps import StampErrors, add_time_offsets, check_time_units, read_stamps
+from measure.session import open_streams
+from measure.session.timestamps import (
+    StampErrors,
+    add_time_offsets,
+    check_time_units,
+    read_stamps,
+    stamps_in_names,
+)
+from tests.session.conftest import write_recording
 
 TIMES_S = [1700000000.0, 1700000000.033333, 1700000000.066667]
 DIALECTS = {
@@ -194,3 +202,38 @@ def test_cameras_written_otherwise_are_left_to_the_user(file):
     file.write_text('cameras = [{name = "a"}, {name = "b"}]\n[session]\n')
     with pytest.raises(SessionError, match=r"or add to their times: a \+0\.100000, b \+0"):
         add_time_offsets(file, {"a": 0.1, "b": 0.0})
+
+
+NS = [1600000000000000000 + round(k * 1e9 / 30) for k in range(6)]
+LISTS = {
+    "EuRoC": lambda n: "#timestamp [ns],filename\n" + "".join(f"{t},{t}.jpg\n" for t in n),
+    "TUM": lambda n: "# timestamp filename\n" + "".join(f"{t / 1e9:.6f} rgb/{t}.jpg\n" for t in n),
+    "numbers": lambda n: "frame,time_s\n" + "".join(f"{t},{t / 1e9:.6f}\n" for t in n),
+    "none": None,
+}
+
+
+@pytest.mark.parametrize("kind", LISTS)
+def test_pictures_named_by_their_times_are_paired_with_them(tmp_path, kind):
+    write_recording(tmp_path)
+    for ns, file in zip(NS, sorted((tmp_path / "cam1").iterdir()), strict=True):
+        file.rename(file.with_stem(str(ns)))
+    (tmp_path / "cam1" / f"{NS[2]}.jpg").unlink()
+    session = tmp_path / "session.toml"
+    if kind == "none":
+        session.write_text(session.read_text().replace('timestamps = "cam1.csv"\n', ""))
+    else:
+        (tmp_path / "cam1.csv").write_text(LISTS[kind](NS))
+    with open_streams(tmp_path) as streams:
+        cam = streams["cam1"]
+        times_s = [ns / 1e9 for k, ns in enumerate(NS) if k != 2]
+        np.testing.assert_allclose(cam.times_s, times_s, atol=1e-6)
+        assert [file.stem for file in cam.files] == [str(ns) for k, ns in enumerate(NS) if k != 2]
+
+
+def test_numbers_that_are_no_times_are_none():
+    assert stamps_in_names(["000001.jpg", "000002.jpg"]) is None
+    assert stamps_in_names(["1600000000000.jpg", "frame.jpg"]) is None
+    assert stamps_in_names(["1600000000100.jpg", "1600000000000.jpg"]) is None
+    found = stamps_in_names([f"cam_{33333333 * k:012d}.png" for k in range(3)])
+    np.testing.assert_allclose(found.times_s, [0, 0.033333333, 0.066666666])

@@ -82,6 +82,34 @@ def test_a_time_of_day_is_kept(tmp_path: Path) -> None:
     assert np.abs(times - 1.7e9 - np.array(TICKS) / 90000).max() < 1.1e-3
 
 
+@pytest.mark.parametrize(
+    "names", [("GH010042.MP4", "GH020042.MP4", "GH030042.MP4"), ("GOPR0042.mp4", "GP010042.mp4")]
+)
+@pytest.mark.parametrize("codec", [H264, MJPEG], ids=["h264", "mjpeg"])
+def test_chapters_of_an_action_camera_are_one_recording(tmp_path: Path, names, codec) -> None:
+    for k, name in enumerate(names):
+        write_video(
+            tmp_path / name,
+            codec[0],
+            options=codec[1],
+            shows=list(range(8 * k, 8 * k + 8)),
+            frames=8,
+        )
+    write_video(tmp_path / "GH010043.MP4", codec[0], frames=8)  # another recording
+    stream = open_video_stream("cam", tmp_path / names[0])
+    count = 8 * len(names)
+    np.testing.assert_allclose(stream.times_s, np.arange(count) / 30, atol=1e-3)
+    positions = [*range(count), 9, 7, 8, 15, 0]
+    assert np.allclose(_levels(stream, positions), [level(k) for k in positions], atol=4)
+    assert f"{len(names)} chapters are joined: {names[0]}, {names[1]}" in stream.notes[0]
+    stream.close()
+    assert len(open_video_stream("cam", tmp_path / "GH010043.MP4")) == 8
+    if len(names) == 3:
+        (tmp_path / names[1]).unlink()
+        with pytest.raises(SessionError, match="chapter 02 in between is missing"):
+            open_video_stream("cam", tmp_path / names[0])
+
+
 @pytest.mark.parametrize("rotation", [0, 90, 180])
 def test_an_orientation_tag_is_named(tmp_path: Path, rotation: int) -> None:
     write_video(tmp_path / "cam.mp4", "libx264", frames=3, rotation=rotation)

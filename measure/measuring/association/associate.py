@@ -43,6 +43,8 @@ _MAX_POINTS = 40  # Most possible centres kept per ball
 _MAX_ITERATIONS = 2
 _MAX_FINALISTS = 6
 _MIN_SCORE = 0.5  # Score of a candidate that is taken for a ball
+_NO_TWO_AGREE = "no two cameras agree"
+_UNITS_MM = {"cm": 10.0, "inches": 25.4}  # Of body files; one in m is refused when it is read
 _CONVERGED = 1e-3  # Steps, in mm and rad, that no longer change which candidates agree
 _TWIN_SHARE = 0.5  # Share of common candidates from which a rival pose is a twin of the best one
 
@@ -86,6 +88,15 @@ def associate(
     body: Body, cameras: Sequence[Camera], detections: Mapping[str, Sequence[Detection]]
 ) -> Association:
     """Find the body by candidates, several per ball and wrong ones too; colours may repeat."""
+    found = _associated(body, cameras, detections)
+    if found.world_from_body is None and found.reason.startswith(_NO_TWO_AGREE):
+        return replace(found, reason=_other_unit(body, cameras, detections) or found.reason)
+    return found
+
+
+def _associated(
+    body: Body, cameras: Sequence[Camera], detections: Mapping[str, Sequence[Detection]]
+) -> Association:
     candidates = by_ball(detections, body.balls, cameras)
     problem = _AssociationProblem(body, cameras, candidates)
     points = [intersect_rays(c, _SIGMAS, _RANGE_RATIO, _MAX_POINTS) for c in candidates]
@@ -99,6 +110,24 @@ def associate(
         against = tuple(_disagreeing(found, body, cameras, detections))
         return replace(found, flags=flags, disagreeing=against)
     return Association(None, reason=_why_none(body, candidates, points))
+
+
+def _other_unit(
+    body: Body, cameras: Sequence[Camera], detections: Mapping[str, Sequence[Detection]]
+) -> str:
+    """That the body is found if the lengths of its file are in another unit; empty if not."""
+    for unit, mm in _UNITS_MM.items():
+        balls = tuple(
+            replace(ball, center_mm=mm * ball.center_mm, radius_mm=mm * ball.radius_mm)
+            for ball in body.balls
+        )
+        found = _associated(replace(body, balls=balls), cameras, detections)
+        if found.world_from_body is not None:
+            return (
+                f"all balls are {mm:.1f} times as large, and as far apart, as the body file says: "
+                f"is it in {unit}?"
+            )
+    return ""
 
 
 def _disagreeing(
@@ -253,7 +282,7 @@ def _why_none(body: Body, candidates: Sequence[Candidates], points: Sequence[Bal
     apart = [b.name for b, p in zip(body.balls, points, strict=True) if not len(p.points)]
     if len(body.balls) - len(apart) < 2:
         return (
-            f"no two cameras agree on where {', '.join(apart)} "
+            f"{_NO_TWO_AGREE} on where {', '.join(apart)} "
             f"{'is' if len(apart) == 1 else 'are'}: check the calibration, "
             "and the radii in the body file"
         )
