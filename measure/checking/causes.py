@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from measure.checking.finding import Finding, Level
@@ -34,6 +35,9 @@ class Word(StrEnum):
     UNKNOWN = "unknown"
 
 
+NAMED_SIGMAS, WRONG_SIGMAS = 3.0, 6.0
+"""Standard deviations by which an estimate differs from a rig that is right: of fewer it is no
+cause, and of fewer than the latter it is weak at most."""
 ALL = "all"
 """What a cause concerns that concerns all cameras or balls."""
 TOPICS = {
@@ -68,9 +72,17 @@ class Cause:
     estimate: float | None = None  # how much, in `unit`
     sd: float | None = None  # its standard deviation
     unit: str = ""
+    nothing: float = 0.0  # the estimate where nothing is off
     explains: float = 1.0  # share of what the recording shows against the rig as stated
     # what else explains it as well, as "clock of cam1".
     rivals: tuple[str, ...] = ()
+
+    @property
+    def deviations(self) -> float:
+        """By how many of its standard deviations it is off; infinite where it is no estimate."""
+        if self.estimate is None or self.sd is None:
+            return math.inf
+        return abs(self.estimate - self.nothing) / max(self.sd, 1e-12)
 
     @property
     def finding(self) -> Finding:
@@ -79,13 +91,24 @@ class Cause:
         return Finding(self.level, TOPICS.get(self.cause, "calibration"), text)
 
 
+def significant(causes: Iterable[Cause]) -> list[Cause]:
+    """Those that are not chance by what they state of themselves; the less certain are weak."""
+    weak = {Level.WRONG: Level.WEAK}
+    return [
+        c if c.deviations >= WRONG_SIGMAS else replace(c, level=weak.get(c.level, c.level))
+        for c in causes
+        if c.deviations >= NAMED_SIGMAS
+    ]
+
+
 def beside(pictures: Sequence[Cause], others: Sequence[Cause]) -> list[Cause]:
     """Pictures that are not what they seem, and what else is off.
 
-    What they show of clocks and places is no cause.
+    What they show of clocks and places is no cause, and neither is what may be chance.
     """
     said = {name for cause in pictures for name in cause.of.split(", ")}
-    return [*pictures, *(c for c in others if ALL not in said and c.of not in said)]
+    rest = (c for c in others if ALL not in said and c.of not in said)
+    return significant([*pictures, *rest])
 
 
 def with_weak(causes: Sequence[Cause], weak: Sequence[Cause]) -> list[Cause]:
@@ -98,4 +121,38 @@ def rivals_text(rivals: tuple[str, ...]) -> str:
     """What cannot be told apart, for the middle of a line; empty if nothing is."""
     if not rivals:
         return ""
-    return f" (this motion cannot tell it from {', '.join(rivals)})"
+    each = [_in_words(*rival.split(" of ", 1)) for rival in rivals]
+    return f", or {', or '.join(each)} (this recording cannot tell which)"
+
+
+def _in_words(word: str, of: str) -> str:
+    """A rival's code and what it concerns."""
+    own, every = _RIVALS[Word(word)]
+    return every if of == ALL else own.format(of=of)
+
+
+_RIVALS = {
+    Word.CLOCK: ("the clock of {of} is off", "all clocks are off"),
+    Word.CLOCK_STEP: ("the clock of {of} steps", "all clocks step"),
+    Word.MOVED: ("{of} was moved", "all cameras were moved"),
+    Word.MOVED_AT: ("{of} was moved midway", "all cameras were moved midway"),
+    Word.ZOOM: ("{of} was zoomed or focused", "all cameras were zoomed or focused"),
+    Word.POINT: (
+        "the principal point of {of} is off",
+        "the principal points of all cameras are off",
+    ),
+    Word.SCALE: ("the scale of {of} is off", "the scale of the calibration is off"),
+    Word.SQUARE: ("the board of {of} is off", "the printed board's square was measured wrong"),
+    Word.RADIUS: ("ball {of} has another radius", "all balls have another radius"),
+    Word.PLACE: (
+        "ball {of} is elsewhere on the body",
+        "the balls are nearer together or further apart than the body file says",
+    ),
+    Word.EXCHANGED_BALLS: (
+        "the colours of {of} are exchanged in the body file",
+        "all colours are exchanged in the body file",
+    ),
+    Word.MIRRORED: ("the {of} file is mirrored", "all pictures are mirrored"),
+    Word.ROLLING: ("the shutter of {of} rolls", "all shutters roll"),
+}
+"""Causes that may be rivals, of one camera or ball, and of all."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.checking.causes import ALL, Cause, Word
+from measure.checking.causes import ALL, Cause, Word, significant
 from measure.checking.clocks import CameraClock
 from measure.checking.evidence import SEARCHED_PX, TRACKED_PX, Evidence
-from measure.checking.explaining import Explanation, Fit, explain, worst_camera
+from measure.checking.explaining import Explanation, explain, fitted, worst_camera
 from measure.checking.finding import Level
-from measure.checking.hypotheses import Hypothesis
+from measure.checking.hypotheses import Hypothesis, of_camera
 from measure.checking.search import SearchSample
 from measure.checking.sightings import evidence_of
 from measure.measuring.measurement import Measurement
@@ -73,12 +73,47 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
         return Diagnosis()
     found, misfit, fit = explain(evidence)
     told = _without_consequences([one for one in found if _matters(evidence, one)])
-    causes = [_cause(evidence, one, squares) for one in told]
+    causes = significant(_cause(evidence, one, squares) for one in told)
+    if len(np.unique(evidence.views)) == 2:
+        causes = _of_two(evidence, causes)
     left = 0.0 if fit is None else fit.left
     most = _UNEXPLAINED[evidence.systematic_px]
     if fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
         causes.insert(0, _unknown(worst_camera(evidence, fit), causes))
     return Diagnosis(tuple(causes), misfit, left)
+
+
+_EITHER = (Word.MOVED, Word.MOVED_AT, Word.ZOOM, Word.POINT)
+"""What may be of the one or the other of two cameras."""
+
+
+def _of_two(evidence: Evidence, causes: Sequence[Cause]) -> list[Cause]:
+    """Of two cameras that contradict each other it is open which is off, and how."""
+    either = [cause for cause in causes if cause.cause in _EITHER]
+    if not either:
+        return list(causes)
+    index = np.unique(evidence.views).tolist()
+    first, other = (evidence.cameras[k].name for k in index)
+    fits = [
+        (fitted(evidence, (one,)), evidence.cameras[k].intrinsics.focal_px)
+        for k, name in zip(index, (first, other), strict=True)
+        for one in of_camera(evidence, k, name)
+        if one.word is Word.MOVED
+    ]
+    fit, focal_px = min(fits, key=lambda pair: pair[0].cost)
+    size_px, sd_px = focal_px * fit.amount.size, focal_px * fit.amount.sd
+    text = (
+        f"{first} and {other} contradict each other by {size_px:.0f} +- {sd_px:.0f} px: one of "
+        "them was moved"
+    )
+    remedy = "two cameras cannot tell: calibrate both again, or add a third camera"
+    blamed = [rival for c in either for rival in (f"{c.cause} of {c.of}", *c.rivals)]
+    rivals = [r for r in dict.fromkeys(blamed) if not r.startswith(f"{Word.MOVED} of ")]
+    whole = Cause(
+        Word.MOVED, f"{first}, {other}", text, remedy, either[0].level, size_px, sd_px, "px",
+        explains=either[0].explains, rivals=tuple(rivals),
+    )  # fmt: skip
+    return significant(whole if c is either[0] else c for c in causes if c not in either[1:])
 
 
 def diagnose_recording(
@@ -153,18 +188,15 @@ def _without_consequences(found: Sequence[Explanation]) -> list[Explanation]:
 def _cause(evidence: Evidence, one: Explanation, squares: bool) -> Cause:
     """In words."""
     hypothesis = one.hypothesis
-    values, covariance = one.fit.last()
-    size = float(np.linalg.norm(values))
-    axis = values / max(size, 1e-30)
-    sd = float(np.sqrt(max(float(axis @ covariance @ axis), 0.0)))
-    part = _Search(evidence, hypothesis, one.fit, values, size, sd)
+    values, (what, size, sd) = one.fit.last()[0], one.fit.amount
+    part = _Search(evidence, hypothesis, values, what, size, sd)
     level = Level.WRONG if one.wrong else Level.WEAK
-    if hypothesis.word is Word.CLOCK:
-        level = Level.WRONG if _off_s(evidence, one) > _CLOCK_WRONG_S else Level.WEAK
-    if hypothesis.word is Word.RADIUS:
-        level = Level.WRONG if size > _RADIUS_WRONG else Level.WEAK
-    if hypothesis.word is Word.ROLLING:
-        level = Level.WEAK
+    harmless = (
+        hypothesis.word is Word.ROLLING
+        or (hypothesis.word is Word.CLOCK and _off_s(evidence, one) <= _CLOCK_WRONG_S)
+        or (hypothesis.word is Word.RADIUS and size <= _RADIUS_WRONG)
+    )
+    level = Level.WEAK if harmless else level
     estimate, sd, unit, text, remedy = _WORDING[hypothesis.word](part)
     names = [r.hypotheses[-1] for r in one.rivals]
     rivals = [f"{h.word} of {h.of or ALL}" for h in names]
@@ -172,8 +204,11 @@ def _cause(evidence: Evidence, one: Explanation, squares: bool) -> Cause:
     if word is Word.SCALE:
         rivals.append(f"{Word.SCALE if squares else Word.SQUARE} of {ALL}")
         word = Word.SQUARE if squares else Word.SCALE
+    nothing = 1.0 if unit == "times" else 0.0
+    if unit == "mm" and hypothesis.word is Word.RADIUS:
+        nothing = float(evidence.body.radii[evidence.body.index(hypothesis.of)])
     return Cause(
-        word, hypothesis.of or ALL, text, remedy, level, estimate, sd, unit, one.explains,
+        word, hypothesis.of or ALL, text, remedy, level, estimate, sd, unit, nothing, one.explains,
         tuple(rivals),
     )  # fmt: skip
 
@@ -184,10 +219,10 @@ class _Search:
 
     evidence: Evidence
     hypothesis: Hypothesis
-    fit: Fit
     values: Floats  # (q,)
-    size: float  # their length
-    sd: float  # and its standard deviation
+    what: str  # of an `Amount`
+    size: float
+    sd: float
 
     @property
     def since(self) -> str:
@@ -233,8 +268,7 @@ def _clock_told(camera: str, off_s: float, sd_s: float) -> _Told:
 def _rate_told(part: _Search) -> _Told:
     """Of a clock that drifts: what is to be added to its stamps grows."""
     rate, times_s = float(part.values[-1]), part.evidence.times_s
-    _, covariance = part.fit.last()
-    sd, fast = float(np.sqrt(covariance[-1, -1])), "slow" if rate > 0 else "fast"
+    sd, fast = part.sd, "slow" if rate > 0 else "fast"
     text = (
         f"{part.who}: its stamps run {100 * abs(rate):.2f} +- {100 * sd:.2f} % {fast}, "
         f"{1e3 * abs(rate) * float(np.ptp(times_s)):.0f} ms in {float(np.ptp(times_s)):.1f} s"
@@ -270,41 +304,36 @@ def _clock_step(part: _Search) -> _Told:
     return -1e3 * off_s, 1e3 * sd_s, "ms", text, remedy
 
 
-def _turn_deg(part: _Search) -> tuple[float, float, float]:
-    """Mean shift in px, the turn in deg that makes it, and the latter's standard deviation."""
-    index = [camera.name for camera in part.evidence.cameras].index(part.hypothesis.of)
-    focal_px = part.evidence.cameras[index].intrinsics.focal_px
-    shift_px = float(np.linalg.norm(np.median(part.shifts_px(), axis=0)))
-    turn = float(np.degrees(shift_px / focal_px))
-    return shift_px, turn, turn * part.sd / max(part.size, 1e-30)
+def _shift_px(part: _Search) -> float:
+    return float(np.linalg.norm(np.median(part.shifts_px(), axis=0)))
 
 
 def _moved(part: _Search) -> _Told:
-    shift_px, turn, sd = _turn_deg(part)
     remedy = "was it touched? calibrate it again (`measure calibrate`, or `measure refine`)"
-    if len(part.values) == 2:
-        turn, sd = float(np.degrees(part.size)), float(np.degrees(part.sd))
+    deg, sd = float(np.degrees(part.size)), float(np.degrees(part.sd))
+    if part.what == "shift":
         text = (
-            f"{part.who} points {turn:.2f} +- {sd:.2f} deg beside where its calibration says "
-            f"({shift_px:.1f} px)"
+            f"{part.who} stands {part.size:.1f} +- {part.sd:.1f} mm from where its calibration says"
         )
-        return turn, sd, "deg", text, remedy
-    if abs(part.values[5]) > np.radians(turn):
-        turn, sd = np.degrees([part.values[5], np.sqrt(part.fit.last()[1][5, 5])]).tolist()
-        text = f"{part.who} is rolled by {turn:+.2f} +- {sd:.2f} deg about where it looks"
-    else:
-        text = (
-            f"{part.who} points {turn:.2f} +- {sd:.2f} deg beside where its calibration says "
-            f"({shift_px:.1f} px), or stands some {np.linalg.norm(part.values[:3]):.1f} mm from "
-            "there"
-        )
-    return turn, sd, "deg", text, remedy
+        return part.size, part.sd, "mm", text, remedy
+    if part.what == "roll":
+        deg *= float(np.sign(part.values[5]))
+        text = f"{part.who} is rolled by {deg:+.2f} +- {sd:.2f} deg about where it looks"
+        return deg, sd, "deg", text, remedy
+    text = (
+        f"{part.who} points {deg:.2f} +- {sd:.2f} deg beside where its calibration says "
+        f"({_shift_px(part):.1f} px)"
+    )
+    if part.what:
+        text += f", or stands some {np.linalg.norm(part.values[:3]):.1f} mm from there"
+    return deg, sd, "deg", text, remedy
 
 
 def _moved_at(part: _Search) -> _Told:
-    shift_px, _, _ = _turn_deg(part)
     turn, sd = float(np.degrees(part.size)), float(np.degrees(part.sd))
-    text = f"{part.who} was moved by {shift_px:.1f} px ({turn:.2f} deg) at about {part.since}"
+    text = (
+        f"{part.who} was moved by {_shift_px(part):.1f} px ({turn:.2f} deg) at about {part.since}"
+    )
     return turn, sd, "deg", text, "measure up to there, or calibrate it again for the rest"
 
 
@@ -379,6 +408,20 @@ def _place(part: _Search) -> _Told:
     return part.size, part.sd, "mm", text, "correct its place in the body file, or fix the ball"
 
 
+def _exchanged(part: _Search) -> _Told:
+    *others, last = part.hypothesis.of.split(", ")
+    text = (
+        f"the colours of {', '.join(others)} and {last} are exchanged in the body file: what is "
+        "seen fits when they change places"
+    )
+    return part.size, part.sd, "", text, "exchange them in the body file"
+
+
+def _mirrored(part: _Search) -> _Told:
+    text = "the balls form the mirror image of the body file"
+    return part.size, part.sd, "", text, "one coordinate has the wrong sign in it: correct it"
+
+
 def _rolling(part: _Search) -> _Told:
     readout = 1e3 * float(part.values[0])
     whose = f"{part.who}: its shutter rolls" if part.hypothesis.of else "all shutters roll"
@@ -397,4 +440,6 @@ _WORDING: dict[Word, Callable[[_Search], _Told]] = {
     Word.RADIUS: _radius,
     Word.PLACE: _place,
     Word.ROLLING: _rolling,
+    Word.EXCHANGED_BALLS: _exchanged,
+    Word.MIRRORED: _mirrored,
 }

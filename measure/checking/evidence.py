@@ -33,9 +33,10 @@ TURN, SHIFT, FOCAL, POINT, CLOCK, ROLL = (
 """Of a camera's parameters: rad about its own axes, mm along them, logarithm of the focal length,
 px of the principal point, s late, s of readout."""
 PER_CAMERA = 11
-SCALE, SPREAD, EDGE, SHARED = 0, 1, 2, 3
-"""Of what all cameras share: logarithms of the body's size and of its balls' distances, and px by
-which all outlines appear further out; then each ball's logarithm of the radius, and its place."""
+SCALE, SPREAD, EDGE, ASIDE, SHARED = 0, 1, 2, 3, 5
+"""Of what all cameras share: logarithms of the body's size and of its balls' distances, px by which
+all outlines appear further out, and (two) by which colours lie beside the balls, as codecs that
+halve colours place them; then each ball's logarithm of the radius, and its place."""
 
 
 class Sighting(NamedTuple):
@@ -219,6 +220,9 @@ class Evidence:
         out[:, 2, self.shared(SCALE)] += 1.0
         out[:, 2, edge] = 1 / radius_px
         balls = self.balls[rows]
+        aside = self.shared(ASIDE)
+        pixels = pixels + rig[aside : aside + 2]
+        out[:, :2, aside : aside + 2] = np.eye(2)
         out[np.arange(len(rows)), 2, self.radius(0) + balls] = 1.0
         for ball in range(len(self.body.balls)):
             its = balls == ball

@@ -13,20 +13,20 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import erf
 
 from measure.arrays import Floats
-from measure.checking.causes import Word
-from measure.checking.evidence import EDGE, Evidence, Linear
-from measure.checking.hypotheses import LARGEST, MIDWAY, Hypothesis, hypotheses, of_camera
+from measure.checking.causes import NAMED_SIGMAS, WRONG_SIGMAS, Word
+from measure.checking.evidence import ASIDE, EDGE, Evidence, Linear
+from measure.checking.hypotheses import LARGEST, MIDWAY, WHOLE, Hypothesis, hypotheses, of_camera
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.geometry.normal_equations import symmetric_inverse
 
 _HUBER_SIGMAS = 3.0
-_BIAS_SHARE, _EDGE_SHARE = 0.5, 1.5
-"""Of a view's systematic error, what it errs by in all pictures alike; and what all outlines have
-in common (blur, gloss)."""
-_SIZE, _WEAK, _WRONG = 0.9973, 1 - 6.3e-5, 1 - 2e-9
-"""Shares of a normal variable within three, four and six standard deviations."""
+_BIAS_SHARE, _COMMON_SHARE = 0.5, 1.5
+"""Of a view's systematic error, what it errs by in all pictures alike; and what all outlines, and
+all places, have in common (blur, gloss, codecs)."""
+_WEAK_SIGMAS = 4.0
 _BOUNDED = (Word.RADIUS, Word.SCALE)
 """Causes whose standard deviation bounds a bias, and is no scatter: less of it tells."""
 _RIVAL_SHARE, _RIVAL_GAIN, _RIVAL_LEFT = 0.1, 16.0, 0.5
@@ -43,6 +43,20 @@ _MOST_CAUSES = 3
 _WORST_SHARE, _WORST_SIGMAS = 0.5, 30.0
 """Of what is left, from which one camera is named; a view counts up to so much."""
 _MAX_SPLITS = 40
+_WHOLE = 0.2  # By which a mistake that holds or does not may seem to hold by more, or less, than 1
+
+
+class Amount(NamedTuple):
+    """What a hypothesis is off by, of which its parameters may say several: the surest."""
+
+    what: str  # "turn", "shift" or "roll" of a moved camera; "rate" of a clock; else empty
+    size: float
+    sd: float  # along itself
+
+    @property
+    def deviations(self) -> float:
+        """By how many of its standard deviations it is off."""
+        return self.size / max(self.sd, 1e-30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,22 +64,26 @@ class Fit:
     """Hypotheses, fitted together."""
 
     hypotheses: tuple[Hypothesis, ...]
-    values: Floats  # (q + 1,) their parameters, one after the other, and the outlines' edge in px
+    values: Floats  # (q,) their parameters, one after the other
+    common: Floats  # (m,) and what all pictures err by alike, in px: of outlines, and of places (2)
     poses: RigidTransform
     cost: float  # the robust sum of squares
     left: float  # its mean, in stated variances, of which one view counts up to so much
     covariance: Floats  # (q, q) by noise, constant biases, and between parts of the recording
     freedom: int
+    amount: Amount  # what is off with the last hypothesis
 
     def last(self) -> tuple[Floats, Floats]:
         """Parameters (r,) of the last hypothesis, and their covariance."""
         count = self.hypotheses[-1].basis.shape[1]
-        return self.values[-count - 1 : -1], self.covariance[-count:, -count:]
+        return self.values[-count:], self.covariance[-count:, -count:]
 
     @property
     def plausible(self) -> bool:
         """Whether the last hypothesis is off by what can be."""
-        values, _ = self.last()
+        values, covariance = self.last()
+        if self.hypotheses[-1].word in WHOLE:
+            return abs(values[0] - 1) < max(NAMED_SIGMAS * np.sqrt(covariance[0, 0]), _WHOLE)
         most = LARGEST.get(self.hypotheses[-1].word, np.inf)
         return bool(np.linalg.norm(values) < most)
 
@@ -80,7 +98,7 @@ class Explanation(NamedTuple):
     """A hypothesis that was chosen."""
 
     fit: Fit  # beside those chosen before
-    wrong: bool  # beyond six standard deviations; else beyond four
+    wrong: bool  # beyond doubt
     explains: float  # share of what was left before
     rivals: tuple[Fit, ...]
 
@@ -123,12 +141,12 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
             best_of[key] = score, hypothesis
     ranked = sorted(best_of.values(), key=lambda pair: -pair[0])[:_REFINED]
     fits = [fitted(evidence, (*here.hypotheses, h), here) for _, h in ranked]
-    fits = [f for f in fits if f.plausible and (_at_gap(evidence, f) or _shows(f, _WEAK))]
+    fits = [f for f in fits if f.plausible and (_at_gap(evidence, f) or _shows(f, _WEAK_SIGMAS))]
     if not fits:
         return None
     noise = max(1.0, min(fit.left for fit in fits))
-    most = max(here.cost - fit.cost for fit in fits)
-    alike = [fit for fit in fits if here.cost - fit.cost >= _enough(evidence, fit, most, noise)]
+    net = [(here.cost - fit.cost) / noise - _price(fit.hypotheses[-1], evidence) for fit in fits]
+    alike = [f for f, gain in zip(fits, net, strict=True) if gain >= _enough(evidence, f, max(net))]
     alike.sort(key=lambda fit: (_price(fit.hypotheses[-1], evidence), fit.cost))
     best, *others = alike
     gain = here.cost - best.cost
@@ -144,22 +162,23 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
             own.add(name)
             rivals.append(fit)
     left = max(here.cost - best.freedom, gain)
-    wrong = _at_gap(evidence, best) or _shows(best, _WRONG)
+    wrong = _at_gap(evidence, best) or _shows(best, WRONG_SIGMAS)
     return Explanation(best, wrong, gain / max(left, 1e-9), tuple(rivals))
 
 
-def _shows(fit: Fit, share: float) -> bool:
-    """Whether the last hypothesis is further from nothing than so much of a normal variable."""
+def _shows(fit: Fit, sigmas: float) -> bool:
+    """Whether the last hypothesis is that far from nothing: as a whole, and in what it states."""
     last = fit.hypotheses[-1]
-    if last.word in _BOUNDED:
-        share = {_WEAK: _SIZE, _WRONG: _WEAK}[share]
-    return fit.significance > chi_square_quantile(share, last.basis.shape[1])
+    whole = NAMED_SIGMAS if last.word in _BOUNDED and sigmas < WRONG_SIGMAS else sigmas
+    chance = chi_square_quantile(float(erf(whole / np.sqrt(2))), last.basis.shape[1])
+    least = WRONG_SIGMAS if sigmas >= WRONG_SIGMAS else NAMED_SIGMAS
+    return fit.significance > chance and fit.amount.deviations > least
 
 
-def _enough(evidence: Evidence, fit: Fit, most: float, noise: float) -> float:
-    """The gain in chi-square from which it explains as much as what gains most."""
+def _enough(evidence: Evidence, fit: Fit, most: float) -> float:
+    """The gain in chi-square, less its price, from which it explains as much as the best."""
     share = _GAP_SHARE if _at_gap(evidence, fit) else _RIVAL_SHARE
-    return most - max(_RIVAL_GAIN * noise, share * most)
+    return most - max(_RIVAL_GAIN, share * most)
 
 
 def _at_gap(evidence: Evidence, fit: Fit) -> bool:
@@ -234,17 +253,23 @@ class _Sums(NamedTuple):
 
 
 def _system(evidence: Evidence, here: Fit) -> _System:
-    linear = _linearised(evidence, here.poses, here.hypotheses, here.values)
+    values = np.concatenate([here.values, here.common])
+    linear = _linearised(evidence, here.poses, here.hypotheses, values)
     parts = _Normal.of(evidence, linear, linear.by_rig)
     normal, right = parts.normal, parts.right
-    nuisance = [evidence.shared(EDGE)]
+    nuisance = _common(evidence)
     total = normal.sum(axis=0)
-    fixed = total[np.ix_(nuisance, nuisance)] + _edge_prior(evidence) * np.eye(1)
+    fixed = total[np.ix_(nuisance, nuisance)] + _common_prior(evidence) * np.eye(len(nuisance))
     return _System(normal, right, nuisance, fixed)
 
 
-def _edge_prior(evidence: Evidence) -> float:
-    return 1 / (_EDGE_SHARE * evidence.systematic_px) ** 2
+def _common(evidence: Evidence) -> list[int]:
+    """The columns of what all pictures err by alike."""
+    return [evidence.shared(what) for what in (EDGE, ASIDE, ASIDE + 1)]
+
+
+def _common_prior(evidence: Evidence) -> float:
+    return 1 / (_COMMON_SHARE * evidence.systematic_px) ** 2
 
 
 def _score(evidence: Evidence, system: _System, sums: _Sums, hypothesis: Hypothesis) -> float:
@@ -305,7 +330,8 @@ def _inverses(matrices: Floats) -> Floats:
 
 def worst_camera(evidence: Evidence, fit: Fit) -> str | None:
     """The camera that most of what is left concerns; None if it is none alone."""
-    residuals = _linearised(evidence, fit.poses, fit.hypotheses, fit.values).residuals
+    values = np.concatenate([fit.values, fit.common])
+    residuals = _linearised(evidence, fit.poses, fit.hypotheses, values).residuals
     lengths = np.minimum(np.linalg.norm(residuals, axis=1), _WORST_SIGMAS)
     shares = np.bincount(evidence.views, lengths**2, len(evidence.cameras))
     worst = int(np.argmax(shares))
@@ -316,9 +342,10 @@ def worst_camera(evidence: Evidence, fit: Fit) -> str | None:
 def _linearised(
     evidence: Evidence, poses: RigidTransform, some: Sequence[Hypothesis], values: Floats
 ) -> Linear:
-    """The evidence about hypotheses with values (q + 1,), the last of which is that of the edge."""
+    """The evidence about hypotheses with values (q + m,), behind which is what is common."""
     at, rigs = 0, np.zeros((len(evidence.times_s), evidence.size))
-    rigs[:, evidence.shared(EDGE)] = values[-1]
+    common = _common(evidence)
+    rigs[:, common] = values[-len(common) :]
     for hypothesis in some:
         count = hypothesis.basis.shape[1]
         held = hypothesis.profile(evidence.times_s) * values[at : at + count]
@@ -331,13 +358,13 @@ def _linearised(
 def fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = None) -> Fit:
     """Fit hypotheses together with the poses, robustly, by Gauss-Newton."""
     count = sum(h.basis.shape[1] for h in some)
-    values = np.zeros(count + 1)
+    common = _common(evidence)
+    values = np.zeros(count + len(common))
     poses = evidence.poses
     if start is not None:
         poses = start.poses
-        values[: len(start.values) - 1], values[-1] = start.values[:-1], start.values[-1]
-    prior = np.zeros((count + 1, count + 1))
-    prior[-1, -1] = _edge_prior(evidence)
+        values[: len(start.values)], values[count:] = start.values, start.common
+    prior = np.diag(np.repeat([0.0, _common_prior(evidence)], [count, len(common)]))
     best: tuple[float, Floats, RigidTransform, _Normal, Floats] | None = None
     for _ in range(_ITERATIONS):
         linear = _linearised(evidence, poses, some, values)
@@ -345,9 +372,9 @@ def fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = N
             (linear.by_rig @ h.basis) * h.profile(evidence.times_s)[evidence.instants, None]
             for h in some
         ]
-        columns.append(linear.by_rig[:, :, [evidence.shared(EDGE)]])
+        columns.append(linear.by_rig[:, :, common])
         parts = _Normal.of(evidence, linear, np.concatenate(columns, axis=2))
-        cost = parts.cost + values[-1] ** 2 * prior[-1, -1]
+        cost = parts.cost + float(values @ prior @ values)
         normal = parts.normal.sum(axis=0) + prior
         settled = best is not None and best[0] - cost < 1e-3 * abs(cost)
         if best is None or cost < best[0]:
@@ -361,9 +388,46 @@ def fitted(evidence: Evidence, some: Sequence[Hypothesis], start: Fit | None = N
     cost, values, poses, parts, normal = best
     freedom = 3 * len(evidence) - 6 * len(evidence.times_s) - count
     noise = max(1.0, cost / max(freedom, 1))
-    covariance = _covariance(evidence, parts, normal, noise)
+    covariance = _covariance(evidence, parts, normal, noise)[:count, :count]
     left = parts.capped / max(freedom, 1)
-    return Fit(tuple(some), values, poses, cost, left, covariance[:-1, :-1], freedom)
+    values, aside = values[:count], values[count:]
+    amount = _amount(evidence, poses, some[-1:], values, covariance)
+    return Fit(tuple(some), values, aside, poses, cost, left, covariance, freedom, amount)
+
+
+def _amount(
+    evidence: Evidence,
+    poses: RigidTransform,
+    last: Sequence[Hypothesis],
+    values: Floats,
+    covariance: Floats,
+) -> Amount:
+    """The part that is off by most standard deviations; of no hypothesis nothing."""
+    surest = Amount("", 0.0, 0.0)
+    for hypothesis in last:
+        for what, by in _parts(evidence, poses, hypothesis).items():
+            part = by @ values[-by.shape[1] :]
+            size = float(np.linalg.norm(part))
+            axis = part @ by / max(size, 1e-30)
+            spread = axis @ covariance[-by.shape[1] :, -by.shape[1] :] @ axis
+            amount = Amount(what, size, float(np.sqrt(max(spread, 0.0))))
+            surest = max(surest, amount, key=lambda one: one.deviations)
+    return surest
+
+
+def _parts(evidence: Evidence, poses: RigidTransform, one: Hypothesis) -> dict[str, Floats]:
+    """What may be said of a hypothesis: its parts (s, q) by its parameters."""
+    eye = np.eye(one.basis.shape[1])
+    if one.drifts:
+        return {"rate": eye[-1:]}
+    if one.word is not Word.MOVED or len(eye) < 6:
+        return {"": eye}
+    index = [camera.name for camera in evidence.cameras].index(one.of)
+    own = np.flatnonzero(evidence.views == index)
+    here = evidence.linearised(poses, np.zeros((1, evidence.size)), np.zeros(len(evidence), int))
+    seen = np.linalg.solve(evidence.whitening[own], here.by_rig[own] @ one.basis)[:, :2]
+    turn = seen.mean(axis=0) / evidence.cameras[index].intrinsics.focal_px
+    return {"turn": turn, "shift": eye[:3], "roll": eye[5:]}
 
 
 def _covariance(evidence: Evidence, parts: _Normal, normal: Floats, noise: float) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ from measure.checking.evidence import (
     TURN,
     Evidence,
 )
+from measure.errors import DegenerateGeometryError
+from measure.geometry.transform import align_points
 from measure.model import Body
 
 MIDWAY = {Word.CLOCK: Word.CLOCK_STEP, Word.MOVED: Word.MOVED_AT, Word.ZOOM: Word.ZOOM}
@@ -27,6 +30,10 @@ MIDWAY = {Word.CLOCK: Word.CLOCK_STEP, Word.MOVED: Word.MOVED_AT, Word.ZOOM: Wor
 
 
 _IN_LINE_MM = 1e-3
+_SHOWS_MM = 0.1  # By which a mistake in the body file moves a ball at least that pictures show
+_PERMUTED = 4  # Balls of which every order is tried; of more, exchanges of two
+WHOLE = (Word.EXCHANGED_BALLS, Word.MIRRORED)
+"""Mistakes in the body file that hold or do not: their parameter is 1 or 0."""
 LARGEST = {Word.ROLLING: 0.1, Word.ZOOM: 0.7, Word.RADIUS: 0.7, Word.SCALE: 1.0, Word.PLACE: 100.0}
 """What no camera, body or board is off by: s of readout, logarithms, mm."""
 
@@ -87,10 +94,43 @@ def hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     count = len(body.balls)
     every = columns(*(evidence.radius(k) for k in range(count))).sum(axis=1, keepdims=True)
     yield Hypothesis(Word.RADIUS, "", every)
+    places = np.ravel([evidence.place(k) for k in range(count)])
+    for word, of, centers in _mistaken(body):
+        step = np.zeros((size, 1))
+        step[places, 0] = np.ravel(centers - body.centers)
+        if np.max(np.linalg.norm(centers - body.centers, axis=1)) > _SHOWS_MM:
+            yield Hypothesis(word, of, step)
     for index, ball in enumerate(body.balls):
         yield Hypothesis(Word.RADIUS, ball.name, columns(evidence.radius(index)))
         basis = columns(*evidence.place(index)) @ _determined(body, index)
         yield Hypothesis(Word.PLACE, ball.name, basis)
+
+
+def _mistaken(body: Body) -> Iterator[tuple[Word, str, Floats]]:
+    """Bodies that the file may mean: with balls exchanged, or mirrored; each laid onto the file's.
+
+    What is moved stands before the centres (n, 3).
+    """
+    count = len(body.balls)
+    orders = permutations(range(count)) if count <= _PERMUTED else _exchanges(count)
+    for order in orders:
+        if moved := [name for k, name in enumerate(body.names) if order[k] != k]:
+            centers = body.centers[list(order)]
+            yield Word.EXCHANGED_BALLS, ", ".join(moved), _laid_onto(body.centers, centers)
+    yield Word.MIRRORED, "body", _laid_onto(body.centers, body.centers * [-1.0, 1.0, 1.0])
+
+
+def _exchanges(count: int) -> Iterator[tuple[int, ...]]:
+    for a, b in combinations(range(count), 2):
+        yield tuple({a: b, b: a}.get(k, k) for k in range(count))
+
+
+def _laid_onto(file: Floats, centers: Floats) -> Floats:
+    """Centres (n, 3) moved rigidly as near as they come to the file's; those if nothing tells."""
+    try:
+        return align_points(file, centers).apply(centers)
+    except DegenerateGeometryError:
+        return file
 
 
 def _determined(body: Body, ball: int) -> Floats:
