@@ -65,7 +65,7 @@ class SessionCheck:
     session: str
     frame_sets: int
     looked_at: int  # how many of them were searched
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # the likeliest cause first; behind the causes what else shows
     coverage: tuple[Coverage, ...] = ()
     causes: tuple[Cause, ...] = ()  # what may be wrong with the rig, the likeliest first
     # the balls' distances and radii against the body file.
@@ -122,19 +122,16 @@ def _concluded(session: Session, look: _Look, findings: list[Finding]) -> Sessio
         findings.append(Finding(Level.NOTE, "body", alone))
     motion, searched, causes = look.motion, look.searched, look.causes
     if causes and causes[0].cause in _FIRST_OF_ALL:
-        findings = [*(cause.finding for cause in causes), *findings]
-        return SessionCheck(
-            session.name, look.frame_sets, len(searched), worst_first(findings), causes=causes
-        )
+        told = (*(cause.finding for cause in causes), *worst_first(findings))
+        return SessionCheck(session.name, look.frame_sets, len(searched), told, causes=causes)
     true_colors = not any(cause.cause is Word.EXPOSURE for cause in causes)
     coverage, weak = coverage_findings(searched, session.body, session.cameras, true_colors)
-    findings = [*(cause.finding for cause in causes), *findings]
     findings += [*twin_findings(session.body), *weak, *flag_findings(motion)]
     return SessionCheck(
         session.name,
         look.frame_sets,
         len(searched),
-        worst_first(findings),
+        (*(cause.finding for cause in causes), *worst_first(findings)),
         coverage,
         causes,
         look.shape,

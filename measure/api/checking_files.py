@@ -7,7 +7,8 @@ from itertools import count
 from pathlib import Path
 
 from measure import checking, session
-from measure.checking.pictures import burst_causes
+from measure.checking.causes import Word
+from measure.checking.pictures import stamp_causes, without_step
 from measure.errors import SessionError
 from measure.processes import Progress
 
@@ -47,14 +48,17 @@ def file_findings(
     findings += [checking.Finding(checking.Level.NOTE, "frames", note) for note in notes]
     pairing = session.pair_nearest([stream.times_s for stream in streams.values()])
     seldom = session.seldom_paired(list(streams), [len(one) for one in streams.values()], pairing)
-    known = [cause.of for cause in burst_causes({n: one.times_s for n, one in streams.items()})]
+    known = {cause.of: cause for cause in stamp_causes({n: s.times_s for n, s in streams.items()})}
     findings += [
         checking.Finding(checking.Level.WRONG, "clock", text)
         for name, text in seldom.items()
         if name not in known
     ]
-    for stream in streams.values():
-        findings += checking.stamp_findings(stream.name, stream.times_s, stream.frames)
+    for name, stream in streams.items():
+        stepped = name in known and known[name].cause is Word.CLOCK_STEP
+        if name not in known or stepped or known[name].unit:  # else they came in bursts
+            times_s = without_step(stream.times_s, known[name]) if stepped else stream.times_s
+            findings += checking.stamp_findings(name, times_s, stream.frames)
     return findings
 
 

@@ -6,13 +6,13 @@ No pose is needed, so the check works with a body file too wrong to track with.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.checking.causes import ALL, Cause, Word
+from measure.checking.causes import ALL, Cause, Word, significant
 from measure.checking.finding import Finding, Level
 from measure.errors import DegenerateGeometryError
 from measure.estimation.body_layout import looks_mirrored, thickness
@@ -64,9 +64,21 @@ def layout_causes(distances: Sequence[Compared], body: Body) -> list[Cause]:
         return [swap]
     shared = set.intersection(*(set(d.what) for d in wrong)) if len(wrong) > 1 else set[str]()
     lines = ", ".join(_line(d) for d in wrong)
+    surest = max(wrong, key=lambda d: abs(d.measured_mm - d.file_mm) / max(d.sd_mm, 1e-9))
     ball = shared.pop() if shared else ""
     text = f"ball {ball} is not where the body file says: {lines}" if ball else lines
-    return [Cause(Word.PLACE, ball or ", ".join(wrong[0].what), text, _MEND_PLACES, Level.WRONG)]
+    cause = Cause(
+        Word.PLACE,
+        ball or ", ".join(wrong[0].what),
+        text,
+        _MEND_PLACES,
+        Level.WRONG,
+        surest.measured_mm,
+        surest.sd_mm,
+        "mm",
+        nothing=surest.file_mm,
+    )
+    return significant([cause])
 
 
 _MEND_PLACES = "correct the places in the body file (`measure body` finds them)"
@@ -114,6 +126,7 @@ def radius_causes(radii: Sequence[Compared]) -> list[Cause]:
             r.measured_mm,
             r.sd_mm,
             "mm",
+            nothing=r.file_mm,
         )
         for r in radii
         if not r.agrees
@@ -143,7 +156,16 @@ def size_causes(body: Body, seen: OutlineGrowth) -> list[Cause]:
     scatter = np.abs(off - np.median(off))
     if len(off) > 2 and np.sort(scatter)[-2] < _ONE_ALONE * scatter.max():
         of = body.names[int(np.argmax(scatter))]
-    return [Cause(Word.RADIUS, of, text, _MEND_RADII, Level.WEAK, 100 * share, 100 * sd, "%")]
+    alike = Cause(Word.RADIUS, of, text, _MEND_RADII, Level.WEAK, 100 * share, 100 * sd, "%")
+    alone = [
+        replace(alike, estimate=float(r + more), sd=float(sd_mm), unit="mm", nothing=float(r))
+        for r, more, sd_mm in zip(
+            body.radii, seen.growth_mm, np.sqrt(np.diag(covariance)), strict=True
+        )
+    ]
+    if of != ALL:
+        return significant([alone[body.index(of)]])
+    return significant([max([alike, *alone], key=lambda cause: cause.deviations)])
 
 
 def twin_findings(body: Body) -> list[Finding]:

@@ -76,6 +76,7 @@ class Cause:
     explains: float = 1.0  # share of what the recording shows against the rig as stated
     # what else explains it as well, as "clock of cam1".
     rivals: tuple[str, ...] = ()
+    since_s: float | None = None  # from when on, if not from the start
 
     @property
     def deviations(self) -> float:
@@ -88,7 +89,19 @@ class Cause:
     def finding(self) -> Finding:
         """The line of a check."""
         text = f"{self.text}{rivals_text(self.rivals)}: {self.remedy}"
-        return Finding(self.level, TOPICS.get(self.cause, "calibration"), text)
+        return Finding(
+            self.level,
+            TOPICS.get(self.cause, "calibration"),
+            text,
+            code=str(self.cause),
+            subject=self.of,
+            estimate=self.estimate,
+            sd=self.sd,
+            unit=self.unit,
+            since_s=self.since_s,
+            rivals=self.rivals,
+            remedy=self.remedy,
+        )
 
 
 def significant(causes: Iterable[Cause]) -> list[Cause]:

@@ -111,7 +111,7 @@ def _of_two(evidence: Evidence, causes: Sequence[Cause]) -> list[Cause]:
     rivals = [r for r in dict.fromkeys(blamed) if not r.startswith(f"{Word.MOVED} of ")]
     whole = Cause(
         Word.MOVED, f"{first}, {other}", text, remedy, either[0].level, size_px, sd_px, "px",
-        explains=either[0].explains, rivals=tuple(rivals),
+        explains=either[0].explains, rivals=tuple(rivals), since_s=either[0].since_s,
     )  # fmt: skip
     return significant(whole if c is either[0] else c for c in causes if c not in either[1:])
 
@@ -207,9 +207,10 @@ def _cause(evidence: Evidence, one: Explanation, squares: bool) -> Cause:
     nothing = 1.0 if unit == "times" else 0.0
     if unit == "mm" and hypothesis.word is Word.RADIUS:
         nothing = float(evidence.body.radii[evidence.body.index(hypothesis.of)])
+    since_s = None if hypothesis.since is None else float(evidence.times_s[hypothesis.since])
     return Cause(
         word, hypothesis.of or ALL, text, remedy, level, estimate, sd, unit, nothing, one.explains,
-        tuple(rivals),
+        tuple(rivals), since_s,
     )  # fmt: skip
 
 

@@ -409,7 +409,7 @@ def _amount(
             part = by @ values[-by.shape[1] :]
             size = float(np.linalg.norm(part))
             axis = part @ by / max(size, 1e-30)
-            spread = axis @ covariance[-by.shape[1] :, -by.shape[1] :] @ axis
+            spread = float(axis @ covariance[-by.shape[1] :, -by.shape[1] :] @ axis)
             amount = Amount(what, size, float(np.sqrt(max(spread, 0.0))))
             surest = max(surest, amount, key=lambda one: one.deviations)
     return surest

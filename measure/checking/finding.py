@@ -25,6 +25,19 @@ class Finding:
     topic: str
     text: str  # what, where, how much, and what to do
     camera: str = ""  # the camera it concerns, where `text` does not name it; empty for all
+    # of a cause: its word, as on the page of what can go wrong; else the topic.
+    code: str = ""
+    subject: str = ""  # the cameras or balls concerned, parted by ", ", or "all"
+    estimate: float | None = None  # how much, in `unit`
+    sd: float | None = None  # its standard deviation
+    unit: str = ""
+    since_s: float | None = None  # from when on; None: from the start, or not known
+    rivals: tuple[str, ...] = ()  # what explains as much, as "clock of cam1"
+    remedy: str = ""  # what mends it, where `text` does not say it
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "code", self.code or self.topic)
+        object.__setattr__(self, "subject", self.subject or self.camera)
 
     def __str__(self) -> str:
         where = f"camera {self.camera}: " if self.camera else ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -139,7 +140,7 @@ _LEAST_BURSTS = 3  # From which on it is known that pictures come in bursts
 
 def stamp_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
     """Cameras of whose stamps it is known what they are, by the stamps alone."""
-    return [*burst_causes(times_s), *rate_causes(times_s)]
+    return [*burst_causes(times_s), *rate_causes(times_s), *step_causes(times_s)]
 
 
 def burst_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
@@ -149,7 +150,10 @@ def burst_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
         steps = np.diff(own)
         gaps = np.nonzero(steps > GAP_PERIODS * np.median(steps))[0] if len(steps) else steps
         sizes = np.diff(gaps)
-        if len(gaps) < _LEAST_BURSTS or np.mean(steps) < CLEAR_RATIO * np.median(steps):
+        usual = [
+            float(np.mean(np.diff(t))) for n, t in times_s.items() if n != camera and len(t) > 1
+        ]
+        if len(gaps) < _LEAST_BURSTS or not _comes_at_once(steps, usual):
             continue
         size = int(np.median(sizes))
         if size < 2 or np.mean(np.abs(sizes - size) <= 1) < 0.8:
@@ -165,6 +169,14 @@ def burst_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
     return out
 
 
+def _comes_at_once(steps: Floats, usual: Sequence[float]) -> bool:
+    """Whether pictures follow each other faster than they can be taken, by other cameras' steps."""
+    mean, median = np.mean(steps), np.median(steps)
+    as_many = usual and abs(mean / np.median(usual) - 1) < _SAME_RATE
+    return bool(mean > (GAP_PERIODS if as_many else CLEAR_RATIO) * median)
+
+
+_SAME_RATE = 0.1  # Share by which mean steps differ at most of cameras that take as many pictures
 _RATE_SHARE, _COUNT_SHARE = 0.03, 0.02
 """By which a camera's duration differs from the others', where its number of pictures does not."""
 _EVEN_SHARE = 0.02  # By which mean and median step differ where no picture is missing
@@ -194,6 +206,52 @@ def rate_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
             cure = "state the rate at which it was recorded, or give it stamps of its own"
             of_rate = 100 * (ratio - 1)
             out.append(Cause(Word.CLOCK, name, text, cure, Level.WRONG, of_rate, None, "%"))
+    return out
+
+
+def step_causes(times_s: Mapping[str, Floats]) -> list[Cause]:
+    """Cameras whose clock was set while they recorded: a gap in their stamps, and no picture lost.
+
+    They have as many pictures as the others, which last as long without the gap.
+    """
+    out = []
+    for name, gaps in gaps_alone(times_s).items():
+        own = times_s[name]
+        others = [t for n, t in times_s.items() if n != name and len(t) > 1]
+        if not len(gaps) or not others:
+            continue
+        at_s, gap_s = gaps[np.argmax(gaps[:, 1])].tolist()
+        period_s = float(np.median(np.diff(own)))
+        lasts_s = float(np.median([t[-1] - t[0] for t in others]))
+        lost = abs(len(own) - float(np.median([len(t) for t in others])))
+        without_s = own[-1] - own[0] - gap_s
+        longer = (
+            gap_s > _STEP_PERIODS * period_s and abs(without_s - lasts_s) < GAP_PERIODS * period_s
+        )
+        if longer and lost <= max(1.0, _COUNT_SHARE * len(own)):
+            sd_s = float(np.std(np.diff(own)[np.diff(own) < GAP_PERIODS * period_s])) + _STAMP_S
+            text = (
+                f"{name}: the clock steps by {1e3 * gap_s:+.0f} +- {1e3 * sd_s:.0f} ms at about "
+                f"{at_s:.2f} s: no picture was lost there"
+            )
+            cure = (
+                f"add {-gap_s:+.4f} s to its stamps from there on; a clock that was set does this"
+            )
+            step_ms, sd_ms = 1e3 * gap_s, 1e3 * sd_s
+            step = Cause(Word.CLOCK_STEP, name, text, cure, Level.WRONG, step_ms, sd_ms, "ms")
+            out.append(replace(step, since_s=at_s))
+    return out
+
+
+_STEP_PERIODS = 3.0  # Shorter steps are left to the motion, which tells them from lost pictures
+_STAMP_S = 0.001  # Of what stamps are known to at best
+
+
+def without_step(times_s: Floats, cause: Cause) -> Floats:
+    """Stamps as they were but for a step that `step_causes` found."""
+    after = np.nonzero(np.diff(times_s) * 1e3 > (cause.estimate or 0.0))[0]
+    out = times_s.copy()
+    out[after[0] + 1 :] -= 1e-3 * (cause.estimate or 0.0)
     return out
 
 

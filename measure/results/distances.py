@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from measure.checking.body import Compared, layout_causes, size_causes, twin_fin
 from measure.checking.causes import ALL, Cause, Word, beside, with_weak
 from measure.checking.diagnosis import diagnose
 from measure.checking.evidence import Evidence, Sighting
-from measure.checking.finding import Level
+from measure.checking.finding import Finding, Level
 from measure.checking.pictures import gaps_alone, repeated_causes, same_pictures_cause, woven_causes
 from measure.checking.sightings import MOST_INSTANTS
 from measure.geometry import RigidTransform
@@ -101,15 +101,15 @@ def _lengths(apart: Floats, covariances: Floats) -> tuple[Floats, Floats]:
     return lengths, np.sqrt(np.einsum("ni,nij,nj->n", along, covariances, along))
 
 
-def rig_notes(
+def rig_findings(
     body: Body,
     cameras: Sequence[Camera],
     distances: Sequence[BallDistance],
     detections: pa.Table,
     poses: pa.Table,
     notes: Sequence[str] = (),
-) -> tuple[str, ...]:
-    """What may be wrong with the rig, the likeliest first, a line each; by a run's tables.
+) -> tuple[Finding, ...]:
+    """What may be wrong with the rig, the likeliest first; by a run's tables.
 
     Nothing of clocks and places of cameras of which the session's notes say what is wrong.
     """
@@ -123,8 +123,9 @@ def rig_notes(
     reasons = filter(None, pc.unique(poses["reason"]).to_pylist())
     shared, repeated = _duplicates(poses)
     pictures = [*shared, *woven_causes(woven_cameras(list(reasons)), len(cameras))]
-    told = () if causes or pictures else contradictions(body, distances)
-    if not causes and not told:
+    if not causes and not pictures:
+        causes = _contradicting(body, distances)
+    if not causes:
         causes = size_causes(body, outline_growth(seen, body, cameras))
     if diagnosis.doubtful and not causes:
         causes = [_unclear(Level.WEAK, ALL, "the balls are not quite where they should be")]
@@ -133,8 +134,7 @@ def rig_notes(
         for cause in with_weak(beside(pictures, causes), repeated)
         if not any(note.startswith(f"{Level.WRONG}: {cause.of}:") for note in notes)
     ]
-    findings = (*(cause.finding for cause in causes), *twin_findings(body))
-    return (*told, *map(str, findings))
+    return (*(cause.finding for cause in causes), *twin_findings(body))
 
 
 def _duplicates(poses: pa.Table) -> tuple[list[Cause], list[Cause]]:
@@ -230,6 +230,12 @@ def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, 
 
     Distances come from rays alone: a calibration of the wrong scale contradicts it as well.
     """
+    return tuple(
+        f"{cause.level}: {cause.text}; {cause.remedy}" for cause in _contradicting(body, distances)
+    )
+
+
+def _contradicting(body: Body, distances: Sequence[BallDistance]) -> list[Cause]:
     known = [
         Compared(
             what=one.balls,
@@ -242,7 +248,5 @@ def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, 
         for one in distances
         if one.count >= MIN_FRAME_SETS and np.isfinite(one.uncertainty_mm)
     ]
-    return tuple(
-        f"{Level.WRONG}: {cause.text}; the body file or the calibration is off, and poses with it"
-        for cause in layout_causes(known, body)
-    )
+    remedy = "the body file or the calibration is off, and poses with it"
+    return [replace(cause, remedy=remedy) for cause in layout_causes(known, body)]

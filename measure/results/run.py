@@ -16,7 +16,7 @@ from measure.arrays import Bools, Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform, propagate
 from measure.model import Body, Camera
-from measure.results.distances import BallDistance, ball_distances, contradictions, rig_notes
+from measure.results.distances import BallDistance, ball_distances, contradictions, rig_findings
 from measure.results.journal import is_missing, read_table
 from measure.results.provenance import read_provenance
 from measure.results.stored import read_tables, rows_of_body
@@ -53,7 +53,7 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        about = rig_notes(
+        about = rig_findings(
             self.body, self.cameras, self.distances, self.detections, self.poses, notes
         )
         return summarise(self.detections, self.poses, notes, about, self.scale_sd)

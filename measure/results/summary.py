@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from measure.checking.finding import Finding
 from measure.model import Reason
 from measure.results.reasons import counted
 
@@ -59,6 +60,8 @@ class Summary:
     # pose; ball distances that contradict the body file ("wrong: ..."), and a body that another
     # file describes as well ("weak: ...").
     notes: tuple[str, ...] = ()
+    # those on the rig as `measure check` gives them, likeliest cause first; notes hold them too.
+    findings: tuple[Finding, ...] = field(default=(), compare=False)
     # of a run of several bodies, the summary of each by its name. A frame set then counts by its
     # worst body, and standard deviations are those of the worst.
     bodies: Mapping[str, Summary] = field(default_factory=dict)
@@ -96,6 +99,7 @@ class Summary:
             for key, value in vars(self).items()
         }
         del values["bodies"]
+        values["findings"] = [asdict(finding) for finding in self.findings]
         if self.bodies:
             values["bodies"] = {name: one.values() for name, one in self.bodies.items()}
         return values
@@ -105,10 +109,10 @@ def summarise(
     detections: pa.Table,
     poses: pa.Table,
     notes: Sequence[str] = (),
-    rig_notes: Sequence[str] = (),
+    findings: Sequence[Finding] = (),
     scale_sd: float = 0.0,
 ) -> Summary:
-    """Count and average the tables of a run; notes are the session's, and on the rig."""
+    """Count and average the tables of a run; notes are the session's, and findings on the rig."""
     statuses = Counter(poses["status"].to_pylist())
     given = [text.split("; ") for text in poses["reason"].to_pylist() if text]
     names = [name for of in ("ball", "camera") for name in pc.unique(detections[of]).to_pylist()]
@@ -137,7 +141,8 @@ def summarise(
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=counted(given, names),
-        notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *rig_notes),
+        notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *map(str, findings)),
+        findings=tuple(findings),
     )
 
 
@@ -173,6 +178,7 @@ def together(bodies: Mapping[str, Summary], poses: pa.Table) -> Summary:
                 for note in summary.notes
             )
         ),
+        findings=tuple(finding for one in bodies.values() for finding in one.findings),
         bodies=bodies,
     )
 

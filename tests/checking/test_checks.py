@@ -8,6 +8,7 @@ import pytest
 
 from measure.checking import (
     ColorlessCount,
+    Finding,
     Level,
     OverexposedCount,
     coverage_findings,
@@ -16,7 +17,8 @@ from measure.checking import (
     stamp_findings,
     with_velocities,
 )
-from measure.checking.pictures import burst_causes, rate_causes
+from measure.checking.causes import Cause, Word
+from measure.checking.pictures import burst_causes, rate_causes, step_causes, without_step
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
@@ -256,3 +258,45 @@ def test_rows_of_two_instants_are_told_from_grain(show, is_woven: bool) -> None:
         ball = Detection("red", "cam0", 0.0, np.array([x_px, 60.0]), 30.0, 0.01 * np.eye(2))
         images.add(FrameSet(index, index / 30, {"cam0": image}), [ball])
     assert images.cameras == woven_cameras(["", images.flag]) == ["cam0"] * is_woven
+
+
+OTHERS = {f"cam{k}": np.arange(60) / 30 + 0.004 * k for k in (0, 2, 3)}
+
+
+@pytest.mark.parametrize("step_s", [0.15, 2.0, 3600.0])
+def test_a_clock_that_was_set_is_told_from_lost_pictures_by_their_number(step_s):
+    frames = np.arange(60)
+    own = frames / 30 + step_s * (frames >= 25)
+    (cause,) = step_causes({**OTHERS, "cam1": own})
+    assert (cause.cause, cause.of, cause.unit) == (Word.CLOCK_STEP, "cam1", "ms")
+    assert cause.estimate == pytest.approx(1e3 * step_s, abs=0.1)
+    assert cause.since_s == pytest.approx(24 / 30)
+    np.testing.assert_allclose(without_step(own, cause), frames / 30, atol=1e-6)
+    kept = np.delete(frames, slice(25, 25 + min(round(30 * step_s), 30)))
+    assert not step_causes({**OTHERS, "cam1": kept / 30}), "pictures were lost"
+    assert not step_causes(OTHERS)
+
+
+@pytest.mark.parametrize(("size", "apart_s"), [(2, 0.01), (4, 0.012), (6, 0.0003)])
+def test_pictures_that_arrive_in_bursts_are_told_from_lost_ones(size, apart_s):
+    frames = np.arange(60)
+    arrival = frames // size * size / 30 + apart_s * (frames % size)
+    (cause,) = burst_causes({**OTHERS, "cam1": arrival})
+    assert f"bursts of {size} " in cause.text
+    kept = frames[frames % 5 != 4]
+    assert not burst_causes({**OTHERS, "cam1": kept / 30}), "every fifth picture was lost"
+
+
+def test_a_cause_is_a_finding_with_code_subject_and_what_can_be_told_apart():
+    rivals = ("moved of cam2", "scale of all")
+    cause = Cause(
+        Word.ZOOM, "cam1", "zoomed by 2 %", "calibrate it", Level.WEAK, 2.0, 0.5, "%", 0.0, 0.9,
+        rivals, 0.4,
+    )  # fmt: skip
+    finding = cause.finding
+    told = (finding.code, finding.subject, finding.level, finding.estimate, finding.sd)
+    assert told == ("zoom", "cam1", "weak", 2.0, 0.5)
+    assert (finding.unit, finding.since_s, finding.remedy) == ("%", 0.4, "calibrate it")
+    assert finding.rivals == rivals
+    assert "or cam2 was moved, or the scale of the calibration is off" in finding.text
+    assert Finding(Level.NOTE, "frames", "none", camera="cam1").code == "frames"

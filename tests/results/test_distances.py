@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 
@@ -45,10 +46,14 @@ def test_nothing_is_said_of_the_right_body(folder):
 
 def test_a_body_a_hundredth_smaller_than_its_file_says_is_told(folder):
     (note,) = notes(folder, resized(1.01), noise_mm=SD_MM)
+    finding = json.loads((folder / "summary.json").read_text())["findings"][0]
+    assert (finding["code"], finding["subject"], finding["level"]) == ("ball-place", "all", "wrong")
+    assert abs(finding["estimate"] - 1 / 1.01) < 2 * finding["sd"]
+    assert "scale of all" in finding["rivals"]
     said = re.match(r"wrong: the balls are (\S+) \+- (\S+) times as far apart as the body", note)
     assert said is not None, note
     assert abs(float(said[1]) - 1 / 1.01) < 2 * float(said[2])
-    assert "or the scale of the calibration is off (this recording cannot tell which)" in note
+    assert "or the scale of the calibration is off, " in note
 
 
 def test_a_ball_that_sits_elsewhere_is_told(folder):
