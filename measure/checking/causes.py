@@ -140,7 +140,7 @@ def rivals_text(rivals: tuple[str, ...]) -> str:
 
 def _in_words(word: str, of: str) -> str:
     """A rival's code and what it concerns."""
-    own, every = _RIVALS[Word(word)]
+    own, every = _RIVALS.get(Word(word), (f"{word} of {{of}}", f"{word} of all"))
     return every if of == ALL else own.format(of=of)
 
 

@@ -11,7 +11,7 @@ from measure.arrays import Floats
 from measure.checking.causes import ALL, Cause, Word, significant
 from measure.checking.clocks import CameraClock
 from measure.checking.evidence import SEARCHED_PX, TRACKED_PX, Evidence
-from measure.checking.explaining import Explanation, explain, fitted, worst_camera
+from measure.checking.explaining import Explanation, explain, fitted, wanders_px, worst_camera
 from measure.checking.finding import Level
 from measure.checking.hypotheses import Hypothesis, of_camera
 from measure.checking.search import SearchSample
@@ -78,7 +78,11 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
         causes = _of_two(evidence, causes)
     left = 0.0 if fit is None else fit.left
     most = _UNEXPLAINED[evidence.systematic_px]
-    if fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
+    if fit and left > _WELL_EXPLAINED and (wanders := wanders_px(evidence, fit)):
+        name, size_px = wanders
+        causes = [c for c in causes if c.of != name]
+        causes.insert(0, _wandering(name, size_px, found[0].wrong))
+    elif fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
         causes.insert(0, _unknown(worst_camera(evidence, fit), causes))
     return Diagnosis(tuple(causes), misfit, left)
 
@@ -142,6 +146,17 @@ def diagnose_recording(
     # What no camera alone contradicts, and all do not in whole pictures, is not unknown.
     known = tuple(c for c in followed.causes if (c.cause, c.of) != (Word.UNKNOWN, ALL))
     return replace(followed, causes=known) if known and whole.fits else followed
+
+
+def _wandering(camera: str, size_px: float, sure: bool) -> Cause:
+    return Cause(
+        Word.UNKNOWN,
+        camera,
+        f"{camera}: its picture wanders against the others', by {size_px:.1f} px RMS",
+        "switch image stabilisation off, and fix the camera; else its frames are not where their "
+        "stamps say",
+        Level.WRONG if sure else Level.WEAK,
+    )
 
 
 def _unknown(camera: str | None, others: Sequence[Cause]) -> Cause:

@@ -18,7 +18,15 @@ from scipy.special import erf
 from measure.arrays import Floats
 from measure.checking.causes import NAMED_SIGMAS, WRONG_SIGMAS, Word
 from measure.checking.evidence import ASIDE, EDGE, Evidence, Linear
-from measure.checking.hypotheses import LARGEST, MIDWAY, WHOLE, Hypothesis, hypotheses, of_camera
+from measure.checking.hypotheses import (
+    LARGEST,
+    MIDWAY,
+    WHOLE,
+    Hypothesis,
+    hypotheses,
+    of_camera,
+    wandering,
+)  # fmt: skip
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.geometry.normal_equations import symmetric_inverse
 
@@ -128,7 +136,8 @@ def explain(evidence: Evidence) -> tuple[list[Explanation], float, Fit | None]:
             break
         found.append(best)
         here = best.fit
-        taken.add((best.hypothesis.word, best.hypothesis.of))
+        if best.hypothesis.word is not Word.MOVED_AT:  # which may be more than once
+            taken.add((best.hypothesis.word, best.hypothesis.of))
     return found, misfit, here
 
 
@@ -156,7 +165,7 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
     own = {(best.hypotheses[-1].word, best.hypotheses[-1].of)}
     own.add((MIDWAY.get(best.hypotheses[-1].word, Word.UNKNOWN), best.hypotheses[-1].of))
     rivals = []
-    for fit in others:
+    for fit in () if best.hypotheses[-1].word in WHOLE else others:
         name = fit.hypotheses[-1].word, fit.hypotheses[-1].of
         if name not in own and fit.left < max(2 * best.left, _RIVAL_LEFT):
             own.add(name)
@@ -164,6 +173,28 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
     left = max(here.cost - best.freedom, gain)
     wrong = _at_gap(evidence, best) or _shows(best, WRONG_SIGMAS)
     return Explanation(best, wrong, gain / max(left, 1e-9), tuple(rivals))
+
+
+def wanders_px(evidence: Evidence, fit: Fit) -> tuple[str, float] | None:
+    """The camera, and px RMS, of a picture that wanders: this explains more than causes that last.
+
+    It is asked of the camera that the first of them concerns.
+    """
+    names = [camera.name for camera in evidence.cameras]
+    of = fit.hypotheses[0].of if fit.hypotheses else ""
+    if of not in names:
+        return None
+    index = names.index(of)
+    others = tuple(one for one in fit.hypotheses if one.of != of)
+    free = fitted(evidence, (*others, wandering(evidence, index)))
+    noise = max(1.0, free.left)
+    cost, instead = (
+        each.cost / noise + sum(_price(one, evidence) for one in each.hypotheses)
+        for each in (fit, free)
+    )
+    turns = free.last()[0].reshape(-1, 2)
+    size_px = evidence.cameras[index].intrinsics.focal_px * float(np.std(turns, axis=0).max())
+    return (of, size_px) if instead < cost else None
 
 
 def _shows(fit: Fit, sigmas: float) -> bool:

@@ -46,11 +46,15 @@ class Hypothesis(NamedTuple):
     basis: Floats  # (p, q) the rig's parameters by those of the hypothesis
     since: int | None = None  # the first instant for which it holds; None for all
     drifts: bool = False  # the last parameter grows with time, by its value a second
+    wanders: bool = False  # equally many parameters are of each instant alone
 
     def profile(self, times_s: Floats) -> Floats:
         """How much of each of its parameters holds (k, q) at instants (k,)."""
         out = np.ones((len(times_s), self.basis.shape[1]))
         out[: self.since or 0] = 0.0
+        if self.wanders:
+            count = out.shape[1] // len(times_s)
+            out = np.kron(np.eye(len(times_s)), np.ones((1, count)))
         if self.drifts:
             out[:, -1] = times_s - np.mean(times_s)
         return out
@@ -157,6 +161,13 @@ def _enlarged(evidence: Evidence, index: int) -> Floats:
     middle = (np.array(lens.size_wh) - 1) / 2
     out[evidence.of_camera(index, POINT), 0] = lens.matrix[:2, 2] - middle
     return out
+
+
+def wandering(evidence: Evidence, index: int) -> Hypothesis:
+    """A camera whose picture lies elsewhere at every instant: stabilised, or loosely fixed."""
+    turn = np.eye(evidence.size)[:, evidence.of_camera(index, TURN)[:2]]
+    basis = np.tile(turn, len(evidence.times_s))
+    return Hypothesis(Word.UNKNOWN, evidence.cameras[index].name, basis, wanders=True)
 
 
 def of_camera(evidence: Evidence, index: int, name: str) -> Iterator[Hypothesis]:

@@ -244,6 +244,29 @@ def test_of_two_cameras_one_stands_14_mm_off(other):
     assert "contradict each other" in cause.text
 
 
+@pytest.mark.parametrize("returns", [1.0, 0.85])
+def test_a_picture_that_wanders_or_is_stabilised_is_no_moved_camera(returns):
+    rng, at = np.random.default_rng(3), np.zeros((COUNT, 2))
+    for k in range(1, COUNT):
+        at[k] = returns * at[k - 1] + rng.normal(0, 0.0013, 2)
+    cause = first(diagnosed(real=lambda k: turned("cam2", [*at[k], 0])))
+    assert (cause.cause, cause.of) == (Word.UNKNOWN, "cam2")
+    assert "wanders" in cause.text
+
+
+def test_a_camera_that_is_knocked_twice_does_not_wander():
+    once, again = turned("cam1", [0.004, -0.003, 0]), turned("cam1", [0.002, -0.005, 0])
+    found = diagnosed(real=lambda k: again if k >= 16 else once if k >= 8 else CAMERAS)
+    assert {(c.cause, c.of) for c in found.causes} == {(Word.MOVED_AT, "cam1")}
+    assert {round(c.since_s * RATE) for c in found.causes} == {8, 16}
+
+
+def test_a_clock_and_a_moved_camera_are_both_named():
+    late = np.array([0, 0.03, 0, 0])
+    found = diagnosed(late=lambda k: late, real=lambda k: turned("cam3", [0.005, 0, 0]))
+    assert [(c.cause, c.of) for c in found.causes] == [(Word.CLOCK, "cam1"), (Word.MOVED, "cam3")]
+
+
 def test_what_nothing_explains_is_unknown():
     shake = np.random.default_rng(5).normal(0, 0.006, (COUNT, 2))
     found = diagnosed(real=lambda k: turned("cam1", [*shake[k], 0]))
