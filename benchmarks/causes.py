@@ -1,11 +1,12 @@
 """Whether the first line of `measure check` names the true cause of a bad recording.
 
     python -m benchmarks.causes [--only NAME] [--source RECORDING ...] [--strength NAME]
-    python -m benchmarks.causes --drawn SEED [--only NAME]
+    python -m benchmarks.causes --drawn SEED [--forms] [--only NAME]
 
 Faults are made from recordings that are right: their calibration, body, stamps or pictures are
 changed, each fault at up to three strengths; or one of each kind, of drawn amount, of scenes and
-rigs that nothing was tuned on. Printed for each is the first cause that is named; at
+rigs that nothing was tuned on; with `--forms` each as a video, grainy, or of two or three cameras,
+as drawn. Printed for each is the first cause that is named; at
 last how often it is the true one, a wrong one, or none, and how often a right recording is blamed.
 """
 
@@ -50,6 +51,8 @@ class Answer:
         if not self.words:
             return "silent"
         right = self.words[0] in self.fault.causes and self.fault.of in self.of
+        named = {*self.words}
+        right &= all(named & {*either.split(" or ")} for either in self.fault.also)
         return "right" if right else "wrong"
 
 
@@ -104,10 +107,10 @@ def _made(options: argparse.Namespace) -> Iterator[tuple[Path, list[Fault]]]:
     return ((source, chosen) for source in options.source)
 
 
-def _drawn(seed: int) -> Iterator[tuple[Path, list[Fault]]]:
+def _drawn(seed: int, forms: bool) -> Iterator[tuple[Path, list[Fault]]]:
     for scene in scenes():
         source = rendered(scene, np.arange(SETS) / HZ)
-        yield source, list(drawn(source, seed))
+        yield source, list(drawn(source, seed, forms))
 
 
 def main() -> None:
@@ -118,9 +121,10 @@ def main() -> None:
     parser.add_argument("--healthy", action="store_true", help="right recordings alone")
     parser.add_argument("--strength", choices=(SLIGHT, CLEAR, GROSS), help="faults of it alone")
     parser.add_argument("--drawn", type=int, metavar="SEED", help="faults drawn with this")
+    parser.add_argument("--forms", action="store_true", help="and drawn forms of the recordings")
     options = parser.parse_args()
     given = []
-    for source, some in _drawn(options.drawn) if options.drawn else _made(options):
+    for source, some in _drawn(options.drawn, options.forms) if options.drawn else _made(options):
         for answer in answers(source, [f for f in some if re.search(options.only, f.name)]):
             given.append(answer)
             where = f"{answer.recording} {answer.fault.name} ({answer.fault.strength})"

@@ -73,8 +73,8 @@ class Draw:
         )
 
 
-def drawn(folder: Path, seed: int) -> Iterator[Fault]:
-    """One fault of each kind, and the recording as it is."""
+def drawn(folder: Path, seed: int, forms: bool = False) -> Iterator[Fault]:
+    """One fault of each kind, and the recording as it is; in drawn forms, if it is asked for."""
     cameras = [camera.name for camera in read_calibration(folder / "calibration.toml").cameras]
     body = read_body(folder / "body.toml")
     twins = {frozenset(pair) for pair in _alike(body.centers, body.names)}
@@ -85,8 +85,42 @@ def drawn(folder: Path, seed: int) -> Iterator[Fault]:
         pairs = [p for p in _pairs(body.names) if frozenset(p) not in twins]
         ball, pair = str(rng.choice(body.names)), pairs[int(rng.integers(len(pairs)))]
         draw = Draw(rng, camera, (camera, other), ball, pair, int(rng.integers(10, 20)))
+        if name in OF_FOUR and len(body.balls) < 4:
+            continue  # a body of three is its own mirror image
         causes, of, amount, change = make(draw)
-        yield Fault(f"{name} {amount}".strip(), CLEAR, causes, of, change)
+        fault = Fault(f"{name} {amount}".strip(), CLEAR, causes, of, change, ALSO.get(name, ()))
+        yield _in_a_form(fault, draw, cameras) if forms else fault
+
+
+_LEFT_OPEN = {"moved", "moved-at", "zoom", "principal-point"}
+"""What two cameras alone cannot tell from each other."""
+
+
+def _in_a_form(fault: Fault, draw: Draw, cameras: list[str]) -> Fault:
+    """The same as a video, with grain, or of some cameras: those that it concerns among them."""
+    rng = np.random.default_rng(int(draw.rng.integers(2**31)))
+    codec = made.encoded(*FORMATS[int(rng.integers(len(FORMATS)))])
+    grain = made.grainy(float(rng.uniform(2.0, 8.0)), int(rng.integers(2**31)))
+    count = int(rng.choice([2, 3]))
+    rest = [name for name in cameras if name not in draw.cameras]
+    kept = [*draw.cameras, *rest][:count]
+    forms = {
+        "": [],
+        "as a video": [codec],
+        "grainy": [grain],
+        "grainy, as a video": [grain, codec],
+        f"of {count} cameras": [made.kept_cameras(*kept)],
+    }
+    form = str(rng.choice([*forms]))
+    causes, of = fault.causes, fault.of
+    if "of 2" in form:
+        of = of if of in ("", *draw.ball.split()) else ""
+        causes = (*causes, "moved") if {*causes} & _LEFT_OPEN else causes
+    change = made.both(fault.change, *forms[form])
+    return replace(fault, name=f"{fault.name} {form}".strip(), causes=causes, of=of, change=change)
+
+
+FORMATS = [("libx264", 18), ("libx264", 23), ("libx264", 28), ("libx265", 22)]
 
 
 def _pairs(names: tuple[str, ...]) -> list[tuple[str, str]]:
@@ -275,6 +309,64 @@ def _interlaced_all(_: Draw) -> _Made:
     return ("interlaced",), "", "", made.pictures(made.woven)
 
 
+def _bursts(d: Draw) -> _Made:
+    size, apart_s = int(d.rng.integers(2, 7)), d.size(0.0003, 0.005)
+    change = made.stamps(d.camera, lambda n, t: t - (n % size) * (1 / HZ - apart_s))
+    return ("clock",), d.camera, f"of {size}", change
+
+
+def _clock_set(d: Draw) -> _Made:
+    late = d.size(1.0, 1000.0)
+    change = made.stamps(d.camera, lambda n, t: t + late * (n >= d.start))
+    return ("clock-step",), d.camera, f"{late:+.1f} s", change
+
+
+def _wander(d: Draw) -> _Made:
+    step_px, returns = d.size(1.0, 4.0), float(d.rng.choice([1.0, 0.85]))
+    at = np.zeros((SETS, 2))
+    for k in range(1, SETS):
+        at[k] = returns * at[k - 1] + d.rng.normal(0, step_px, 2)
+    change = made.pictures(lambda images, k: made.warped(images[k], 1.0, *at[k]), d.camera)
+    return ("unknown",), d.camera, f"{step_px:.1f} px", change
+
+
+def _mirror_body(d: Draw) -> _Made:
+    def change(folder: Path) -> None:
+        body = read_body(folder / "body.toml")
+        sign = np.where(np.arange(3) == axis, -1.0, 1.0)
+        write_body(folder / "body.toml", body.with_centers(body.centers * sign))
+
+    axis = int(d.rng.integers(3))
+    return ("mirrored",), "", "xyz"[axis], change
+
+
+def _clock_and_moved(d: Draw) -> _Made:
+    late, deg = d.amount(0.02, 0.1), d.amount(0.2, 1.5)
+    moved = made.calibration(made.turned(deg, int(d.rng.integers(2))), d.cameras[1])
+    change = made.both(made.stamps(d.camera, lambda _, t: t + late), moved)
+    return ("clock", "moved"), "", f"{late:+.3f} s {deg:+.2f} deg", change
+
+
+def _scale_and_radius(d: Draw) -> _Made:
+    factor, more = 1 + d.amount(0.01, 0.05), d.amount(1.0, 3.0)
+    radius = made.body(**{d.ball: lambda c, r: (c, r + more)})
+    change = made.both(made.calibration(made.scaled(factor)), radius)
+    return ("scale", "board-square", "radius"), "", f"{factor:.3f} {more:+.1f} mm", change
+
+
+def _pushed_and_bent(d: Draw) -> _Made:
+    moved, bent = _push(d), _place(d)
+    causes, amount = (*moved[0], *bent[0]), f"{moved[2]}, {bent[2]}"
+    return causes, "", amount, made.both(moved[3], bent[3])
+
+
+ALSO = {
+    "clock and moved": ("clock", "moved"),
+    "scale and radius": ("scale or board-square", "radius"),
+    "pushed and bent": ("moved", "ball-place"),
+}
+"""What is to be named of pairs of faults, in any order."""
+OF_FOUR = ("body mirrored",)
 KINDS: dict[str, Callable[[Draw], _Made]] = {
     "clock": _clock,
     "clock step": _clock_step,
@@ -303,4 +395,11 @@ KINDS: dict[str, Callable[[Draw], _Made]] = {
     "same pictures": _same_pictures,
     "interlaced one": _interlaced,
     "interlaced": _interlaced_all,
+    "bursts": _bursts,
+    "clock set": _clock_set,
+    "wanders": _wander,
+    "body mirrored": _mirror_body,
+    "clock and moved": _clock_and_moved,
+    "scale and radius": _scale_and_radius,
+    "pushed and bent": _pushed_and_bent,
 }

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 
@@ -30,6 +31,7 @@ class Fault:
     causes: tuple[str, ...]  # any of these words is right
     of: str  # the camera or ball to be named; empty if any
     change: Change
+    also: tuple[str, ...] = ()  # words that are to be named beside, of pairs of faults
 
 
 def calibration(change: Callable[[Camera], Camera], *names: str) -> Change:
@@ -188,17 +190,57 @@ def _exchanged_folders(folder: Path) -> None:
     (folder / "x").rename(folder / "cam1")
 
 
-def _of_two(other: str, change: Change) -> Change:
-    """cam0 and another camera alone, and what is done to them."""
+def kept_cameras(*names: str) -> Change:
+    """Some cameras alone."""
 
     def changed(folder: Path) -> None:
-        change(folder)
         path = folder / "session.toml"
         head, *tables = path.read_text().split("[[cameras]]")
-        kept = [table for table in tables if '"cam0"' in table or f'"{other}"' in table]
+        kept = [table for table in tables if any(f'"{name}"' in table for name in names)]
         path.write_text("[[cameras]]".join([head, *kept]))
 
     return changed
+
+
+def both(*changes: Change) -> Change:
+    """One after the other."""
+
+    def changed(folder: Path) -> None:
+        for change in changes:
+            change(folder)
+
+    return changed
+
+
+def encoded(codec: str, crf: int) -> Change:
+    """Each camera's pictures as a video with half as many colours as pixels."""
+
+    def changed(folder: Path) -> None:
+        path = folder / "session.toml"
+        text = path.read_text()
+        for where in sorted(one for one in folder.iterdir() if one.is_dir()):
+            images = [cv2.imread(str(file)) for file in sorted(where.glob("*.jpg"))]
+            with av.open(str(folder / f"{where.name}.mp4"), "w") as video:
+                how = {"crf": str(crf), "preset": "veryfast", "x265-params": "log-level=none"}
+                if codec != "libx265":
+                    del how["x265-params"]
+                stream = video.add_stream(codec, rate=30, options=how)
+                stream.height, stream.width = images[0].shape[:2]
+                stream.pix_fmt = "yuv420p"
+                for image in images:
+                    video.mux(stream.encode(av.VideoFrame.from_ndarray(image, "bgr24")))
+                video.mux(stream.encode(None))
+            shown = f'images = "{where.name}/*.jpg"'
+            text = text.replace(shown, f'video = "{where.name}.mp4"')
+        path.write_text(text)
+
+    return changed
+
+
+def grainy(levels: float, seed: int) -> Change:
+    """Noise of so many levels, another in each picture."""
+    rng = np.random.default_rng(seed)
+    return pictures(lambda images, k: images[k] + rng.normal(0, levels, images[k].shape))
 
 
 def _from_the_middle(change: Callable[[Bytes], Bytes]) -> Callable[[list[Bytes], int], Bytes]:
@@ -280,7 +322,7 @@ def faults() -> Iterator[Fault]:
     rate = stamps("cam1", lambda _, t: 1.2 * t)
     yield Fault("25 for 30 a second", CLEAR, ("clock",), "cam1", rate)
     for name in ("cam1", "cam2"):
-        pair = _of_two(name, calibration(pushed(14.0), name))
+        pair = both(calibration(pushed(14.0), name), kept_cameras("cam0", name))
         yield Fault(f"one of two, {name} 14 mm", CLEAR, ("moved",), "", pair)
     shake = np.cumsum(np.random.default_rng(3).normal(0, 1.2, (400, 2)), 0)
     stabilised = pictures(lambda im, k: warped(im[k], 1.0, *shake[k]), "cam1")
@@ -291,12 +333,13 @@ def healthy() -> Iterator[Fault]:
     """Recordings that are right, and small departures that are none."""
     yield Fault("as it is", "", (), "", lambda _: None)
     for first in (0, 6, 12):
-        yield Fault(f"from frame {first}", "", (), "", _cut(first, first + 14))
+        yield Fault(f"from frame {first}", "", (), "", cut(first, first + 14))
     for quality in (80, 60):
-        yield Fault(f"JPEG quality {quality}", "", (), "", _squeezed(quality))
+        yield Fault(f"JPEG quality {quality}", "", (), "", squeezed(quality))
     noise = np.random.default_rng(1).normal(0, 3, (720, 1280, 3))
     grain = lambda im, k: im[k] + np.roll(noise, 37 * k, axis=1)[: len(im[k]), : im[k].shape[1]]  # noqa: E731
     yield Fault("grain", "", (), "", pictures(grain))
+    yield Fault("H.264", "", (), "", encoded("libx264", 20))
     yield Fault("dim", "", (), "", pictures(lambda im, k: np.asarray(0.7 * im[k], np.uint8)))
     yield Fault("blur", "", (), "", pictures(_blurred))
 
@@ -305,18 +348,24 @@ def _blurred(images: list[Bytes], place: int) -> Bytes:
     return np.asarray(cv2.GaussianBlur(images[place], (0, 0), 1.0), np.uint8)
 
 
-def _squeezed(quality: int) -> Change:
+def squeezed(quality: int) -> Change:
+    """JPEG of such a quality, once more."""
+
     def changed(folder: Path) -> None:
-        for path in folder.glob("cam*/*.jpg"):
+        for path in folder.glob("*/*.jpg"):
             image = np.asarray(cv2.imread(str(path)), np.uint8)
             cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, quality])
 
     return changed
 
 
-def _cut(first: int, last: int) -> Change:
+def cut(first: int, last: int) -> Change:
+    """The pictures from one up to another."""
+
     def changed(folder: Path) -> None:
-        for table in folder.glob("cam*.csv"):
+        for table in folder.glob("*.csv"):
+            if not (folder / table.stem).is_dir():
+                continue
             head, *rows = table.read_text().split()
             paths = sorted((folder / table.stem).glob("*.jpg"))
             for k, path in enumerate(paths):
