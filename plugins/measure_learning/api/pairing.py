@@ -125,6 +125,8 @@ def open_logs(
     for path, log in zip(logs, read, strict=True):
         if log.computed:
             _log.warning("%s: the tip is computed from the joints, by %s", path, schema.robot)
+        if said := str(log.new):
+            _log.warning("%s: %s", path, said)
     return read * len(runs) if len(read) == 1 else read
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from measure.arrays import Floats, rms_length
+from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.limits import LEVER_MM
@@ -15,8 +15,8 @@ from measure.metrology.poses import PoseTable, SharedErrors
 from measure.robots import SerialChain
 from measure_learning.core.assemble import (
     LONGEST_GAP_S,
-    CompleteStates,
     PoseTrack,
+    check_rate,
     complete_states,
     interpolate,
 )
@@ -25,9 +25,6 @@ from measure_learning.core.frame_fit import FRAMES, FrameFit, LinearModel, Sight
 from measure_learning.core.labels import chain_doubt
 from measure_learning.robots import StateLog
 
-_MOST_BETWEEN_MM = 1.0
-"""RMS by which the tip between two states of a log may be off a straight way: several times what
-cheap cameras err by. The bend of the way over two steps is four times that."""
 _ALIKE_S, _DELAY_RATIO = 0.1, 2.0
 _LEAST_EXPLAINED = 0.3  # share of a motion's variance that joints of other signs and order explain
 
@@ -117,7 +114,7 @@ def moving(
         at = table.times_s + clocks_s[k]
         around = (at + SLOPE_S * np.array([[0.0], [1.0], [-1.0]])).ravel()
         log = complete_states(track.name, one.log)
-        _refuse_sparse(track.name, log)
+        check_rate(track.name, log)
         states, near = interpolate(log, around, LONGEST_GAP_S)
         states, ahead, behind = states.reshape(3, len(at), -1)
         usable = np.asarray(near.reshape(3, -1).all(axis=0))
@@ -145,23 +142,6 @@ def _without_turns(chain: SerialChain | None, steps: Floats) -> Floats:
     turning = np.array([not joint.prismatic for joint in chain.joints])
     whole = np.round(steps / (2 * np.pi)) * 2 * np.pi
     return np.where(turning, steps - whole, steps)
-
-
-def _refuse_sparse(name: str, log: CompleteStates) -> None:
-    """Refuse (EstimatorError) a log between whose states the moving tip is not known."""
-    way = log.reported_mm
-    if len(way) < 3:
-        return
-    bend = way[1:-1] - (way[2:] + way[:-2]) / 2
-    off = rms_length(bend) / 4
-    step = float(np.median(np.diff(log.times_s)))
-    if off > _MOST_BETWEEN_MM and step > LONGEST_GAP_S:
-        wanted = step * np.sqrt(0.1 * _MOST_BETWEEN_MM / off)
-        raise EstimatorError(
-            f"{name}: the robot's log has a state every {step:.2g} s, and between two of them the "
-            f"tip is known to {off:.1f} mm (RMS) only: log at {np.ceil(1 / wanted):.0f} Hz or "
-            "more, or let the robot stand at 8 or more places (stops)"
-        )
 
 
 def own_delays_s(fit: FrameFit, seen: Sightings) -> Floats:

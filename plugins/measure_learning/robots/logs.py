@@ -21,7 +21,7 @@ from measure_learning.robots.columns import (
     lacking,
 )
 from measure_learning.robots.generic import BUILTIN, read_schema
-from measure_learning.robots.log_clock import Clock
+from measure_learning.robots.log_clock import Clock, NewStates, steps_mm
 from measure_learning.robots.raven import raven_schema
 
 if TYPE_CHECKING:
@@ -195,13 +195,15 @@ def _table_pieces(path: Path, schema: StateSchema) -> Iterator[tuple[Floats, Flo
 class LogFile:
     """A log of any length; see `RobotLog` for what its parts are.
 
-    The file is read once when this is built, and once more for every call of `states_at`.
+    The file is read once when this is built, and once more for every call of `states_at`. States
+    that a program wrote again until the robot answered count once.
     """
 
     def __init__(self, path: Path, schema: StateSchema, topic: str | None = None) -> None:
         """Read the file; see `read_log`."""
         self.schema, self._path, self._topic = schema, path, topic
-        times, places, whole = list[Floats](), list[Floats](), list[Bools]()
+        times, places, whole, steps = list[Floats](), list[Floats](), list[Bools](), list[Floats]()
+        last: Floats | None = None
         self.broken: Ints = np.zeros(len(schema.features), dtype=np.int64)
         self.computed = schema.chain is not None  # whether its positions are those of its joints
         for piece, states in log_pieces(path, schema, topic):
@@ -210,25 +212,28 @@ class LogFile:
             complete = np.asarray(finite.all(axis=1))
             times.append(piece)
             whole.append(complete)
+            steps.append(steps_mm(schema, states, last))
+            last = states[-1]
             places.append(reported_mm(schema, states, complete))
             if schema.chain is not None and self.computed:
                 tips = schema.chain.tip_mm(schema.joint_positions(states[complete]))
                 self.computed = np.allclose(tips, places[-1][complete], rtol=0.0, atol=_SAME_MM)
-        self.times_s: Floats = np.concatenate(times)
-        self.complete: Bools = np.concatenate(whole)
-        self.reported_mm: Floats = np.concatenate(places)
+        self.new = NewStates.of(np.concatenate(times), np.concatenate(steps))
+        self.times_s: Floats = np.concatenate(times)[self.new.rows]
+        self.complete: Bools = np.concatenate(whole)[self.new.rows]
+        self.reported_mm: Floats = np.concatenate(places)[self.new.rows]
 
     def states_at(self, rows: Ints) -> Floats:
         """States (k, features) of rows (k,); EstimatorError if the file has changed since."""
         order = np.argsort(rows, kind="stable")
-        wanted = rows[order]
+        wanted = np.flatnonzero(self.new.rows)[rows[order]]
         out = np.empty((len(rows), len(self.schema.features)))
         start = done = 0
         for times, states in log_pieces(self._path, self.schema, self._topic):
             stop = int(np.searchsorted(wanted, start + len(times)))
             out[order[done:stop]] = states[wanted[done:stop] - start]
             start, done = start + len(times), stop
-        if start != len(self.times_s):
+        if start != len(self.new.rows):
             raise EstimatorError(f"{self._path}: has changed while it was read: try again")
         return out
 
