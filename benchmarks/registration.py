@@ -136,7 +136,8 @@ def stopped(
     P = np.tile(np.diag(sd**2), (count, 1, 1))
     poses = PoseTable(np.arange(count, dtype=np.float64), seen, P)
     states = np.concatenate([q, ur5e().tip_mm(q)], axis=1)
-    return Stops(f"stops_{seed}", poses, states), arm
+    called = tuple(f"stop {k + 1}" for k in range(count))
+    return Stops(f"stops_{seed}", poses, states, called), arm
 
 
 def main() -> None:

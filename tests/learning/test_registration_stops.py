@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +76,82 @@ def test_eight_stops_in_one_table_give_base_and_tool(
     assert np.linalg.norm(d[:3]) < 4.0
     assert d @ np.linalg.solve(found.covariance, d) < chi_square_quantile(0.999, 12)
     assert len(found.judgement["next_pose"]["joints"]) == 6
+
+
+def exchanged(poses: dict[str, Any], order: list[int]) -> dict[str, Any]:
+    return {name: column[order] for name, column in poses.items()}
+
+
+def pushed(poses: dict[str, Any], off_mm: dict[int, float]) -> dict[str, Any]:
+    x = poses["x_mm"].copy()
+    for row, value in off_mm.items():
+        x[row] += value
+    return poses | {"x_mm": x}
+
+
+@pytest.mark.parametrize(
+    ("count", "spoil", "said"),
+    [
+        (15, lambda p: p, []),
+        (8, lambda p: p, []),
+        (15, lambda p: pushed(p, {6: 47.0}), ["stop 7 is left out: it is 4[67].. mm"]),
+        (8, lambda p: pushed(p, {2: -15.0}), ["stop 3 is left out: it is 1[456].. mm"]),
+        (
+            15,
+            lambda p: pushed(p, {0: 15.0, 9: -15.0, 4: 30.0}),
+            [f"stop {k} is left out: it is" for k in (1, 5, 10)],
+        ),
+        (
+            15,
+            lambda p: exchanged(p, [0, 1, 8, *range(3, 8), 2, *range(9, 15)]),
+            [
+                f"stop {a} is left out: the pose of its joints is that of stop {b}$"
+                for a, b in ((3, 9), (9, 3))
+            ],
+        ),
+    ],
+    ids=["fifteen", "eight", "one bad", "one of eight", "three bad", "two exchanged"],
+)
+def test_a_bad_stop_is_named_and_left_out(
+    tmp_path: Path, robot: str, capsys: pytest.CaptureFixture[str],
+    count: int, spoil: Callable[[dict[str, Any]], dict[str, Any]], said: list[str],
+) -> None:  # fmt: skip
+    poses, joints, arm = columns_of(2, count)
+    table = write_table(tmp_path / "stops.csv", spoil(poses) | joints)
+    code, out = registered(table, "--stops", table, "--robot", robot)
+    assert code == 0
+    facts = json.loads(capsys.readouterr().out)["judgement"]
+    assert facts["left_out"] == len(said)
+    for sentence, pattern in zip(facts.get("stops_left_out", []), said, strict=True):
+        assert re.match(pattern, sentence)
+    found = read_frame(out)
+    d = np.concatenate(
+        [
+            found.world_from_base.difference(arm.world_from_base),
+            found.flange_from_body.difference(arm.flange_from_body),
+        ]
+    )
+    assert np.linalg.norm(d[:3]) < 3.0
+    assert d @ np.linalg.solve(found.covariance, d) < chi_square_quantile(0.999, 12)
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        ([*range(1, 15)], ": each pose is one row above its joints: 0.* mm are left"),
+        ([*range(6), *range(7, 15)], "from stop 7 on each pose is one row above its joints"),
+        ([*range(5), *range(4, 13)], "from stop [56] on each pose is one row below its joints"),
+    ],
+    ids=["all", "a pose is missing", "a pose is there twice"],
+)
+def test_rows_that_are_out_of_step_are_named(
+    tmp_path: Path, robot: str, capsys: pytest.CaptureFixture[str], order: list[int], words: str
+) -> None:
+    poses, joints, _ = columns_of(2, 15)
+    fewer = {name: column[: len(order)] for name, column in joints.items()}
+    table = write_table(tmp_path / "stops.csv", exchanged(poses, order) | fewer)
+    assert registered(table, "--stops", table, "--robot", robot)[0] == 2
+    assert re.search(words, capsys.readouterr().err)
 
 
 def test_seven_stops_are_refused_with_how_many_are_needed(

@@ -72,7 +72,7 @@ def _print(found: RobotFrame, out: Path) -> None:
         f"{facts['poses']} poses{left_out}; {left:.3f} mm RMS are left{halves}; the poses state "
         f"{facts['stated_noise_mm']:.3f} mm"
     )
-    for sentence in facts["not_separable"]:
+    for sentence in (*facts.get("stops_left_out", ()), *facts["not_separable"]):
         console.print_text(sentence)
     if (helps := facts.get("next_pose")) is not None:
         console.print_text(_next_pose(helps))

@@ -16,9 +16,10 @@ from measure.arrays import Bools, Floats, Ints, rms_length
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
 from measure.geometry.covariance import squared_mahalanobis
 from measure.geometry.normal_equations import posterior_covariance, undetermined
-from measure.limits import MAX_STEPS
+from measure.limits import LEVER_MM, MAX_STEPS
 from measure.metrology.poses import PoseTable, SharedErrors, independent_count
 from measure.robots import SerialChain
+from measure_learning.core.clock import MIN_KEPT_SHARE
 from measure_learning.core.turns import nearest_rotation, turn_products, turn_starts
 from measure_learning.robots.links import LinkEffects, link_jacobian, usual_sd, with_link_errors
 
@@ -31,6 +32,7 @@ _UNKNOWN_MM, _UNKNOWN_RAD, _UNKNOWN_S = 1e3, 2.0, 1.0
 OPEN_SHARE = 0.1
 """Of these, from which a direction counts as not determined: 100 mm and 11 deg are no answer."""
 _ROUNDS = 3  # of leaving out poses that disagree
+_DRAWS, _DRAWN, _STEPS = 50, 6, 2  # starts from a few stops, and steps from each
 _LEAST_SINGULAR = 1e-2  # of shifts, over the largest: turns by 1 deg may be noise alone
 
 
@@ -125,17 +127,17 @@ def fit_frames(seen: Sightings, *, kinematics: bool) -> FrameFit:
     Poses that disagree by six standard deviations are left out: `kept` has the others.
     """
     count, links = len(seen.shared), seen.links
-    kept = np.ones(len(seen.poses), dtype=bool)
-    frames = _closed_form(seen)
+    kept = best_stops(seen) if seen.apart else np.ones(len(seen.poses), dtype=bool)
+    frames = _closed_form(seen.take(kept))
     for _ in range(_ROUNDS):
         some = seen.take(kept)
         fit = FrameFit(*frames, np.zeros(count), np.zeros(links), usual_sd(links))
         fit = _with_links(fit, some)
         fit = replace(fit, share=1.0 if seen.apart else _share(fit, some))
-        agree = _agree(fit, seen, kept)
-        if np.array_equal(agree, kept):
+        good = agree(fit, seen, kept)
+        if np.array_equal(good, kept):
             break
-        kept, frames = agree, (fit.world_from_base, fit.body_from_flange)
+        kept, frames = good, (fit.world_from_base, fit.body_from_flange)
     seen = seen.take(kept)
     fit = _with_links(fit, seen)
     near = LinearModel.of(fit, seen)
@@ -154,14 +156,45 @@ def _share(fit: FrameFit, seen: Sightings) -> float:
     return sum(counts) / len(white)
 
 
-def _agree(fit: FrameFit, seen: Sightings, kept: Bools) -> Bools:
-    """Which poses (n,) are within six standard deviations, by the usual size of the kept ones."""
+def agree(fit: FrameFit, seen: Sightings, kept: Bools) -> Bools:
+    """Which poses (n,) are within six standard deviations, by the usual size of the kept ones.
+
+    What the kept stops leave open of the frames and the links counts with the others: these are few
+    and were not fitted.
+    """
     near = LinearModel.of(fit, seen)
-    squares, size = squared_mahalanobis(near.residuals, near.covariances), near.residuals.shape[1]
+    size, covariances = near.residuals.shape[1], near.covariances
+    squares = squared_mahalanobis(near.residuals, covariances)
     usual = float(np.median(squares[kept])) / chi_square_quantile(0.5, size)
-    if seen.apart:  # few poses are met better than others like them would be
-        usual = max(usual, fit.noise)
+    if seen.apart:
+        usual = max(usual, fit.noise, 1.0)
+        N = LinearModel.of(fit, seen.take(kept)).normal()[1]
+        P = posterior_covariance(N / usual, precision(seen, fit.link_sd))
+        squares = squared_mahalanobis(
+            near.residuals, covariances + propagate(near.slopes, P) / usual
+        )
     return np.asarray(squares <= _OUTLIER_SDS**2 * size / 3 * max(usual, 1e-12))
+
+
+def best_stops(seen: Sightings) -> Bools:
+    """The stops (n,) that base and tool bring together best, as many as must be kept.
+
+    Least trimmed squares, by concentration from stops drawn at random (Rousseeuw and Van Driessen
+    1999): a few stops of a false pose do not move it as they move a fit to all.
+    """
+    n = len(seen.poses)
+    out = np.ones(n, dtype=bool)
+    if n <= _DRAWN + 1:
+        return out
+    rng, count, least = np.random.default_rng(0), int(np.ceil(MIN_KEPT_SHARE * n)), np.inf
+    for _ in range(_DRAWS):
+        rows = rng.choice(n, _DRAWN, replace=False)
+        for _ in range(_STEPS):
+            miss = _misses_mm(seen, _closed_form(seen.take(rows)))
+            rows = np.argsort(miss)[:count]
+        if (sum_ := float(np.sum(miss[rows] ** 2))) < least:
+            least, out = sum_, np.isin(np.arange(n), rows)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,12 +380,20 @@ def _with_shifts(
     return RigidTransform(base, x[:3]), RigidTransform(flange, x[3:]), left
 
 
-def quick_miss(seen: Sightings, lever_mm: float) -> float:
+def _misses_mm(seen: Sightings, frames: tuple[RigidTransform, RigidTransform]) -> Floats:
+    """By how much frames miss the poses (n,), mm; turns count at a lever."""
+    base, flange = frames
+    poses, hand = seen.poses.world_from_body, base @ seen.hand()
+    if seen.chain is None:
+        point = np.broadcast_to(flange.translation, (len(seen.poses), 3))
+        return np.linalg.norm(poses.apply(point) - hand.translation, axis=1)
+    r = poses.difference(hand @ flange.inverse())
+    return np.linalg.norm(r * np.repeat([1.0, LEVER_MM], 3), axis=1)
+
+
+def quick_miss(seen: Sightings) -> float:
     """What the closed form leaves, mm RMS; turns count at a lever."""
-    base, flange = _closed_form(seen)
-    model = base @ seen.hand() @ flange.inverse()
-    r = seen.poses.world_from_body.difference(model)
-    return rms_length(r * np.repeat([1.0, lever_mm], 3))
+    return rms_length(_misses_mm(seen, _closed_form(seen))[:, None])
 
 
 def turns_agree(seen: Sightings) -> float:

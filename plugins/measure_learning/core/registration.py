@@ -8,19 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.geometry import skew
 from measure.robots import SerialChain, StateSchema
 from measure_learning.core.clock import MIN_KEPT_SHARE
-from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, fit_frames
+from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, best_stops, fit_frames
 from measure_learning.core.frames import RobotFrame
 from measure_learning.core.judged_frames import judgement
 from measure_learning.core.labels import check_turns
 from measure_learning.core.sightings import LoggedTrack as LoggedTrack
 from measure_learning.core.sightings import clock_of, moving, own_delays_s, rough_clock_of
 from measure_learning.core.slips import Misfit, changed, explain
-from measure_learning.core.stops import LEAST_STOPS, Stops, at_rest, is_sparse, stop_sightings
+from measure_learning.core.stops import (
+    LEAST_STOPS,
+    Stops,
+    at_rest,
+    is_sparse,
+    stop_sightings,
+    stops_left_out,
+)
 from measure_learning.robots.links import TURNS, link_names
 from measure_learning.robots.tool_poses import ToolPoses
 
@@ -98,7 +105,7 @@ def register(recordings: Sequence[LoggedTrack], options: RegisterOptions) -> Rob
     for most in _ROUNDS:
         seen = moving(recordings, clocks, given is not None, most)
         _refuse_poor(seen, schema.robot)
-        _refuse_turned(seen, schema, names, options)
+        _refuse_turned(seen, slice(None), schema, names, options)
         fit = fit_frames(seen, kinematics=options.kinematics)
         clocks = clocks + fit.clocks_s
         whole = most >= sum(len(one.track.times_s) for one in recordings)
@@ -126,10 +133,15 @@ def register_stops(
             f"joints: at least {LEAST_STOPS} at rest are needed, better 15, each turned by 30 deg "
             "or more against the others"
         )
-    _refuse_turned(seen, schema, [one.name for one in stops], options)
+    names = [one.name for one in stops]
+    _refuse_turned(seen, best_stops(seen), schema, names, options)
     fit = fit_frames(seen, kinematics=options.kinematics)
     _refuse_slips(fit, seen, schema, options)
-    return _frame(fit, seen, schema, {}, options)
+    frame = _frame(fit, seen, schema, {}, options)
+    if fit.kept.all():
+        return frame
+    left_out = {"stops_left_out": stops_left_out(fit, seen, stops)}
+    return replace(frame, judgement={**frame.judgement, **left_out})
 
 
 def _frame(
@@ -224,14 +236,18 @@ def _refuse_poor(seen: Sightings, robot: str) -> None:
 
 
 def _refuse_turned(
-    seen: Sightings, schema: StateSchema, names: Sequence[str], options: RegisterOptions
+    seen: Sightings,
+    rows: Bools | slice,
+    schema: StateSchema,
+    names: Sequence[str],
+    options: RegisterOptions,
 ) -> None:
-    """Refuse rotations that no base and tool bring together, with the slip that explains it."""
+    """Refuse `rows` whose rotations no base and tool bring together, with what explains it."""
     if seen.chain is None:
         return
     seen_turns, own_turns = (
-        seen.poses.world_from_body.rotation,
-        seen.chain.pose(seen.joints).rotation,
+        seen.poses.world_from_body.rotation[rows],
+        seen.chain.pose(seen.joints[rows]).rotation,
     )
     try:
         check_turns(" and ".join(names), seen_turns, own_turns, most_deg=_MOST_APART_DEG)

@@ -62,7 +62,7 @@ def explain(seen: Sightings, joint_names: Sequence[str], eye_in_hand: bool = Fal
     few = seen.take(_some(len(seen.poses), _COMPARED))
     every = _slips(few, joint_names, eye_in_hand)
     likely = heapq.nlargest(_COMPARED, every, key=lambda slip: turns_agree(slip.undone))
-    ranked = sorted(likely, key=lambda slip: quick_miss(slip.undone, LEVER_MM))
+    ranked = sorted(likely, key=lambda slip: quick_miss(slip.undone))
     wanted = {slip.said for slip in ranked[:_FINALISTS]}
     more = seen.take(_some(len(seen.poses), _FITTED))
     slips = [slip for slip in _slips(more, joint_names, eye_in_hand) if slip.said in wanted]
@@ -89,12 +89,12 @@ def _some(count: int, most: int) -> slice:
 
 
 def _left_mm(seen: Sightings) -> float:
-    """RMS that a fit of base, tool and clock leaves, turns at a lever."""
+    """RMS that a fit of base, tool and clock leaves, turns at a lever; more for poses left out."""
     try:
         fit = fit_frames(seen, kinematics=False)
     except (np.linalg.LinAlgError, DegenerateGeometryError):
         return float("inf")
-    return _size_mm(fit.residuals(seen.take(fit.kept))) / max(float(fit.kept.mean()), 1e-3)
+    return _size_mm(fit.residuals(seen.take(fit.kept))) / max(float(fit.kept.mean()) ** 3, 1e-3)
 
 
 def _slips(seen: Sightings, names: Sequence[str], eye_in_hand: bool) -> Iterator[_KnownSlip]:
@@ -123,6 +123,8 @@ def _slips(seen: Sightings, names: Sequence[str], eye_in_hand: bool) -> Iterator
             cure = "write positions and rotations in the same axes, of a right hand"
             yield _KnownSlip(said, cure, replace(seen, poses=replace(poses, world_from_body=other)))
     yield from _joint_slips(seen, seen.chain, names)
+    if seen.apart:
+        yield from _row_slips(seen)
 
 
 _MIRRORS = (
@@ -151,6 +153,19 @@ def _joint_slips(seen: Sightings, chain: SerialChain, names: Sequence[str]) -> I
             turn = "turns" if count == 1 else "turn"
             said, cure = f"{which} {turn} the other way", "reverse that in the log"
             yield _KnownSlip(said, cure, _with_joints(seen, chain, list(range(n)), signs))
+
+
+def _row_slips(seen: Sightings) -> Iterator[_KnownSlip]:
+    """Stops whose poses and joints are out of step by a row, all or from one of them on."""
+    n = len(seen.poses)
+    for first, (early, where) in itertools.product(range(n - 1), ((0, "below"), (1, "above"))):
+        poses = np.delete(np.arange(n), -1 if early else first)
+        states = np.delete(np.arange(n), first if early else -1)
+        since = f"from stop {first + 1} on " if first else ""
+        said = f"{since}each pose is one row {where} its joints"
+        cure = "pair them again: is a row missing, or there twice?"
+        undone = replace(seen.take(states), poses=seen.poses.take(poses))
+        yield _KnownSlip(said, cure, undone)
 
 
 def _exchanges(n: int) -> Iterator[tuple[int, ...]]:

@@ -7,7 +7,7 @@ clocks are compared. Without a clock to find a few places are enough (Tsai and L
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -22,7 +22,7 @@ from measure.model import Ball, BallColor, Body
 from measure.robots import StateSchema
 from measure_learning.core.assemble import PoseTrack
 from measure_learning.core.clock import SPARSE_S
-from measure_learning.core.frame_fit import Sightings
+from measure_learning.core.frame_fit import FrameFit, Sightings, agree
 from measure_learning.core.sightings import LoggedTrack
 from measure_learning.core.turns import align_turns
 
@@ -39,6 +39,7 @@ class Stops:
     name: str
     poses: PoseTable  # n
     states: Floats  # (n, features)
+    called: tuple[str, ...]  # n, for messages
     shared: SharedErrors | None = None
 
 
@@ -61,7 +62,8 @@ def pairs_in_table(track: PoseTrack, states: Floats) -> Stops:
             f"{track.name}: holds positions alone; registering needs poses: a table with qw, qx, "
             "qy, qz"
         )
-    return Stops(track.name, track.table().take(good), states[good])
+    called = tuple(f"stop {row + 1}" for row in np.flatnonzero(good))
+    return Stops(track.name, track.table().take(good), states[good], called)
 
 
 def at_rest(one: LoggedTrack, clock_offset_s: float | None) -> Stops | None:
@@ -74,7 +76,9 @@ def at_rest(one: LoggedTrack, clock_offset_s: float | None) -> Stops | None:
     pairs = _matched(poses, ours, log.schema, states, theirs, clock_offset_s)
     if len(pairs) < LEAST_STOPS:
         return None
-    return Stops(track.name, poses.take(pairs[:, 0]), states[pairs[:, 1]], one.shared)
+    poses = poses.take(pairs[:, 0])
+    called = tuple(f"the stop at {time_s:.1f} s" for time_s in poses.times_s)
+    return Stops(track.name, poses, states[pairs[:, 1]], called, one.shared)
 
 
 def is_sparse(track: PoseTrack) -> bool:
@@ -105,6 +109,28 @@ def stop_sightings(stops: Sequence[Stops], schema: StateSchema) -> Sightings:
         clocks_known=True,
         apart=True,
     )
+
+
+def stops_left_out(fit: FrameFit, seen: Sightings, stops: Sequence[Stops]) -> list[str]:
+    """What is wrong with the stops that a fit left out, a sentence each."""
+    several = len(stops) > 1
+    called = [f"{one.name}: {name}" if several else name for one in stops for name in one.called]
+    out, residuals = np.flatnonzero(~fit.kept).tolist(), fit.residuals(seen)
+    belongs = dict[int, str]()
+    for other, name in enumerate(called):
+        order = np.arange(len(called))
+        order[out] = other
+        fits = agree(fit, replace(seen, poses=seen.poses.take(order)), fit.kept)
+        belongs |= {a: name for a in out if a != other and fits[a]}
+    sentences = []
+    for a in out:
+        off_mm = np.linalg.norm(residuals[a, :3])
+        turned = f" and {np.degrees(np.linalg.norm(residuals[a, 3:])):.1f} deg"
+        cause = f"it is {off_mm:.1f} mm{turned if seen.chain else ''} off the others"
+        if a in belongs:
+            cause = f"the pose of its joints is that of {belongs[a]}"
+        sentences.append(f"{called[a]} is left out: {cause}")
+    return sentences
 
 
 def _body_rests(track: PoseTrack, shared: SharedErrors | None) -> tuple[PoseTable, _RestSpans]:

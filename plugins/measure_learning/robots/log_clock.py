@@ -125,6 +125,6 @@ def steps_mm(schema: StateSchema, states: Floats, before: Floats | None = None) 
         matrix = matrix * [1.0 if joint.prismatic else LEVER_MM for joint in schema.chain.joints]
     read = np.flatnonzero(matrix.any(axis=1))  # other features need not be numbers
     first = np.full((1, states.shape[1]), np.nan) if before is None else before[None]
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         moved = np.diff(np.concatenate([first, states])[:, read], axis=0)
-    return np.asarray(np.linalg.norm(moved @ matrix[read], axis=1))
+        return np.asarray(np.linalg.norm(moved @ matrix[read], axis=1))
