@@ -15,12 +15,14 @@ from measure.processes import Progress
 from measure.robots import StateSchema
 from measure_learning.api.training import check_seeds
 from measure_learning.robots import LogFile, find_schema
+from measure_learning.robots.log_clock import NewStates, steps_mm
 from measure_learning.simulator import Cables
 
 if TYPE_CHECKING:
     from measure_learning.core import AssemblySettings, PoseTrack, TrajectoryFacts
     from measure_learning.core.frames import RobotFrame
     from measure_learning.core.registration import RegisterOptions
+    from measure_learning.core.stops import Stops
     from measure_learning.robots import StateLog
 
 _log = logging.getLogger(__name__)
@@ -123,6 +125,12 @@ def open_logs(
         )
     read = [LogFile(path, schema, topic) for path in logs]
     for path, log in zip(logs, read, strict=True):
+        if lacks := [name for name in schema.groups if name not in log.schema.groups]:
+            _log.warning(
+                "%s: lacks %s: the other %d of %d features are taken; a model trained with all of "
+                "them cannot use it", path, ", ".join(lacks), len(log.schema.features),
+                len(schema.features),
+            )  # fmt: skip
         if log.computed:
             _log.warning("%s: the tip is computed from the joints, by %s", path, schema.robot)
         if said := str(log.new):
@@ -266,51 +274,85 @@ def register(
     from measure.results.pose_table import shared_errors
     from measure_learning.core import files
     from measure_learning.core.registration import LoggedTrack, register, register_stops
-    from measure_learning.core.stops import pairs_in_table
     from measure_learning.robots import find_schema
 
     schema = find_schema(robot)
     if stops:
         if runs or logs:
             raise ConfigError("--stops holds poses and joints: leave out runs and --robot-log")
-        tables = [files.read_stops(path, schema) for path in stops]
-        pairs = [
-            pairs_in_table(track.inverted() if options.eye_in_hand else track, states)
-            for track, states, _ in tables
-        ]
-        return register_stops(pairs, tables[0][2], options)
+        pairs, schemas = zip(*(_stops(path, schema, options) for path in stops), strict=True)
+        return register_stops(pairs, schemas[0], options)
     if not (runs and logs):
         raise ConfigError("give runs of the moving robot, and its log with --robot-log; or --stops")
     tracks = [files.read_poses(run) for run in runs]
     if len({track.name for track in tracks}) < len(tracks):
         raise EstimatorError("two recordings have the same name: rename one")
     shared = [shared_errors(read_run(run)) if run.is_dir() else None for run in runs]
-    opened = _logs_or_tool_poses(tracks, logs, schema, topic)
+    opened = _logs_or_tool_poses(tracks, logs, schema, topic, options)
     return register(list(map(LoggedTrack, tracks, opened, shared)), options)
 
 
+def _stops(path: Path, schema: StateSchema, options: RegisterOptions) -> tuple[Stops, StateSchema]:
+    """The stops of a table, and the schema of their states."""
+    from measure_learning.core.files import read_stops
+    from measure_learning.core.registration import choose_reading, stops_apart_deg
+    from measure_learning.core.stops import pairs_in_table
+
+    track, states = read_stops(path, schema, options.angles)
+    track = track.inverted() if options.eye_in_hand else track
+    if not isinstance(states, list):
+        return pairs_in_table(track, states), schema
+    pairs = [pairs_in_table(track, reading.states) for reading in states]
+    apart = [stops_apart_deg(p, r.schema) for p, r in zip(pairs, states, strict=True)]
+    best, words = choose_reading(path.name, states, apart)
+    _log.warning("%s", words)
+    return pairs[best], states[best].schema
+
+
 def _logs_or_tool_poses(
-    tracks: Sequence[PoseTrack], logs: Sequence[Path], schema: StateSchema, topic: str | None
+    tracks: Sequence[PoseTrack],
+    logs: Sequence[Path],
+    schema: StateSchema,
+    topic: str | None,
+    options: RegisterOptions,
 ) -> list[StateLog]:
     """The robot's logs; those that hold the tool's pose and no joints become pairs of poses."""
     from measure_learning.core.stops import is_sparse
     from measure_learning.robots.logs import is_table, of_instants
     from measure_learning.robots.tables import TableFile
-    from measure_learning.robots.tool_poses import holds_tool_poses, read_tool_poses
+    from measure_learning.robots.tool_poses import holds_tool_poses
 
     if is_sparse(tracks[0]):
         schema = of_instants(logs[0], schema, tracks[0].measured().times_s)
-    names = [path.name for path in logs]
     if not all(is_table(path) for path in logs) or not all(
         holds_tool_poses(TableFile.open(path, schema.log.delimiter).schema.names) for path in logs
     ):
         return list(open_logs([track.name for track in tracks], logs, schema, topic))
-    if schema.chain is not None:
+    if schema.chain is not None and options.angles is None:
         try:
             return list(open_logs([track.name for track in tracks], logs, schema, topic))
         except EstimatorError as problem:
             if "lacks" not in str(problem):
                 raise
-    _log.warning("%s: the tool's poses are taken: it holds no joints", " and ".join(names))
-    read: list[StateLog] = [read_tool_poses(path, schema) for path in logs]
+    first = [t.inverted() if options.eye_in_hand else t for t in tracks[: len(logs)]]
+    read = [_tool_poses(path, t, schema, options) for path, t in zip(logs, first, strict=True)]
     return read * len(tracks) if len(read) == 1 else read
+
+
+def _tool_poses(
+    path: Path, track: PoseTrack, schema: StateSchema, options: RegisterOptions
+) -> StateLog:
+    """The tool's poses of a log, read as they fit the track best."""
+    from measure_learning.core.registration import LoggedTrack, choose_reading, turns_apart_deg
+    from measure_learning.robots.tool_poses import read_tool_poses
+
+    readings, read = zip(*read_tool_poses(path, schema, options.angles), strict=True)
+    apart = [0.0]
+    if len(read) > 1 and track.rotations is not None:
+        apart = [turns_apart_deg(LoggedTrack(track, log), options) for log in read]
+    best, words = choose_reading(path.name, readings, apart)
+    _log.warning("%s", words)
+    log = read[best]
+    if said := str(new := NewStates.of(log.times_s, steps_mm(log.schema, log.states))):
+        _log.warning("%s: %s", path, said)
+    return replace(log, times_s=log.times_s[new.rows], states=log.states[new.rows])

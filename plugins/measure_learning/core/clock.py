@@ -279,9 +279,10 @@ def rough_offset(
     ours = _on_grid(camera_times_s - start_s, twists)
     theirs = _on_grid(robot_times_s - robot_start_s, rates[:, rates.std(axis=0) > 0])
     least = round(max(_MIN_MOTION_S, 0.5 * min(len(ours), len(theirs)) / _ROUGH_HZ) * _ROUGH_HZ)
-    if not least < min(len(ours), len(theirs), MAX_SEARCHED_S * _ROUGH_HZ) or not theirs.size:
+    moves = theirs.size and ours.std(axis=0).any()
+    if not least < min(len(ours), len(theirs), MAX_SEARCHED_S * _ROUGH_HZ) or not moves:
         return float("nan"), 0.0
-    ours, theirs = (x - x.mean(axis=0) for x in (ours, theirs))
+    ours, theirs = (x - x.mean(axis=0) for x in (ours[:, ours.std(axis=0) > 0], theirs))
     edge = len(ours) - least
     wide = np.pad(theirs, ((edge, edge), (0, 0)))
     within = np.pad(np.ones(len(theirs)), edge)

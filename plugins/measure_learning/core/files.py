@@ -17,11 +17,12 @@ from measure.host import Dataset, Turns
 from measure.results import read_run
 from measure.results.tables import PLACE
 from measure.robots import StateSchema
+from measure.session import read_trajectory
 from measure_learning.core.assemble import PoseTrack, TrajectoryFacts
 from measure_learning.core.scores import Score
 from measure_learning.robots import ROBOT_KEY, feature_columns
 from measure_learning.robots.tables import Table
-from measure_learning.robots.tool_poses import holds_tool_poses, tool_pose_states
+from measure_learning.robots.tool_poses import Angles, ToolReading, holds_tool_poses, tool_readings
 
 _KEY = b"measure.schema"
 _ERRORS = ("ex_mm", "ey_mm", "ez_mm")
@@ -203,36 +204,48 @@ def read_poses(path: Path) -> PoseTrack:
     A file needs `time_s`, `x_mm`, `y_mm`, `z_mm`, and may give `qw`, `qx`, `qy`, `qz`, and
     `position_sd_mm` and `rotation_sd_deg` (3-D), else 0.1 mm and 0.3 deg per axis are assumed.
     Poses whose `status`, which runs have and files may have, is not "ok" count as not measured.
+    Other programs' files of poses (TUM and what plugins of formats read) are taken as well.
     """
     if path.is_dir():
         return _run_poses(path)
     if not path.exists():
         raise EstimatorError(f"{path}: no such run or file of poses")
-    return _poses_in(path, Table.read(path), "time_s")
+    table = Table.read(path)
+    if not any(name in table for name in ("time_s", *PLACE[:3])):
+        return _other_poses(path)
+    return _poses_in(path, table, "time_s")
 
 
-def read_stops(path: Path, schema: StateSchema) -> tuple[PoseTrack, Floats, StateSchema]:
-    """Poses of a robot that stood still, the states (n, features) in their rows, and the schema.
+def _other_poses(path: Path) -> PoseTrack:
+    known = read_trajectory(path, EstimatorError)
+    count, poses = len(known.times_s), known.world_from_body
+    variances = np.repeat([_LABEL_SD_MM**2, np.deg2rad(_TURN_SD_DEG) ** 2], 3)
+    P = np.tile(np.diag(variances), (count, 1, 1))
+    return _ordered(path.stem, known.times_s, poses.translation, P, poses.rotation)
 
-    That is another one where the table holds the tool's pose and no joints. Columns of poses are as
-    `read_poses` knows them, without a time; all others are the robot's.
+
+def read_stops(
+    path: Path, schema: StateSchema, angles: Angles | None = None
+) -> tuple[PoseTrack, Floats | list[ToolReading]]:
+    """Poses of a robot that stood still, and the states (n, features) in their rows.
+
+    Where the table holds the tool's pose and no joints, these are its usual readings. Columns of
+    poses are as `read_poses` knows them, without a time; all others are the robot's.
     """
     if not path.exists():
         raise EstimatorError(f"{path}: no such table of stops")
     table = Table.read(path)
     there = [name for name in table.schema.names if name not in _OF_POSES]
     track = _poses_in(path, table, None)
+    if track.rotations is None:
+        raise EstimatorError(f"{path}: lacks qw, qx, qy, qz beside x_mm, y_mm, z_mm")
     try:
         found = feature_columns(path, schema, there)
     except EstimatorError:
         if not holds_tool_poses(there):
             raise
-        states, schema = tool_pose_states(path, Table(path, table.content.select(there)), schema)
-    else:
-        states = found.states(str(path), table.numbers(*found.columns))
-    if track.rotations is None:
-        raise EstimatorError(f"{path}: lacks qw, qx, qy, qz beside x_mm, y_mm, z_mm")
-    return track, states, schema
+        return track, tool_readings(path, Table(path, table.content.select(there)), schema, angles)
+    return track, found.states(str(path), table.numbers(*found.columns))
 
 
 def _poses_in(path: Path, table: Table, time: str | None) -> PoseTrack:
@@ -241,7 +254,7 @@ def _poses_in(path: Path, table: Table, time: str | None) -> PoseTrack:
     if time is None:
         columns = np.column_stack([np.arange(len(columns)), columns])
     variances = [
-        _variance(table, "position_sd_mm", 0.1),
+        _variance(table, "position_sd_mm", _LABEL_SD_MM),
         np.deg2rad(_variance(table, "rotation_sd_deg", _TURN_SD_DEG) ** 0.5) ** 2,
     ]
     P = np.repeat(np.stack(variances, axis=1), 3, axis=1)[:, :, None] * np.eye(6)

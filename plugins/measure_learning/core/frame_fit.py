@@ -20,7 +20,7 @@ from measure.limits import LEVER_MM, MAX_STEPS
 from measure.metrology.poses import PoseTable, SharedErrors, independent_count
 from measure.robots import SerialChain
 from measure_learning.core.clock import MIN_KEPT_SHARE
-from measure_learning.core.turns import nearest_rotation, turn_products, turn_starts
+from measure_learning.core.turns import leave_one_open, nearest_rotation, turn_products, turn_starts
 from measure_learning.robots.links import LinkEffects, link_jacobian, usual_sd, with_link_errors
 
 FRAMES = 12
@@ -184,7 +184,8 @@ def best_stops(seen: Sightings) -> Bools:
     """
     n = len(seen.poses)
     out = np.ones(n, dtype=bool)
-    if n <= _DRAWN + 1:
+    turns = seen.hand().rotation, seen.poses.world_from_body.rotation
+    if n <= _DRAWN + 1 or (seen.chain and leave_one_open(*turns)):
         return out
     rng, count, least = np.random.default_rng(0), int(np.ceil(MIN_KEPT_SHARE * n)), np.inf
     for _ in range(_DRAWS):

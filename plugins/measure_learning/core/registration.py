@@ -11,6 +11,7 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.geometry import skew
+from measure.limits import CLEAR_RATIO
 from measure.robots import SerialChain, StateSchema
 from measure_learning.core.clock import MIN_KEPT_SHARE
 from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, best_stops, fit_frames
@@ -28,8 +29,9 @@ from measure_learning.core.stops import (
     stop_sightings,
     stops_left_out,
 )
+from measure_learning.core.turns import align_turns
 from measure_learning.robots.links import TURNS, link_names
-from measure_learning.robots.tool_poses import ToolPoses
+from measure_learning.robots.tool_poses import Angles, ToolPoses, ToolReading
 
 _LEAST_POSES, _LEAST_S = 30, 15.0
 _LEAST_WAY_MM = 20.0  # across the longest way, of a robot without known kinematics
@@ -39,6 +41,7 @@ _ROUNDS = (400, 400, 3000)
 _WRONG_CHAIN_MM = 5.0  # RMS left, most of it by links: no arm is built so badly
 _MOST_LINK_MM = 100.0  # error of a link that a wrong table may hold; a mirrored world needs more
 _MOST_APART_DEG = 15.0  # RMS of rotations; slack and slipping drives of a wrist leave less
+_ALIKE_DEG = 1.0  # RMS of rotations, up to which a reading of angles may be right
 _MOST_LEFT = 0.25  # share of the motion (RMS) that is left where base and tool explain nothing
 _BLOCKS = ("world_from_base", "flange_from_body")
 _AXES = ("x_mm", "y_mm", "z_mm", "x_rad", "y_rad", "z_rad")
@@ -53,12 +56,14 @@ class RegisterOptions:
         clock_offset_s: robot time minus camera time, if known; else estimated from the motion.
         largest_offset_s: search the offset within plus and minus this.
         eye_in_hand: the cameras are on the flange, and the body stands in the world.
+        angles: how a log or table without joints writes the tool's rotation; else what fits best.
     """
 
     kinematics: bool = False
     clock_offset_s: float | None = None
     largest_offset_s: float = 5.0
     eye_in_hand: bool = False
+    angles: Angles | None = None
 
     def __post_init__(self) -> None:
         for name in ("clock_offset_s", "largest_offset_s"):
@@ -142,6 +147,66 @@ def register_stops(
         return frame
     left_out = {"stops_left_out": stops_left_out(fit, seen, stops)}
     return replace(frame, judgement={**frame.judgement, **left_out})
+
+
+def turns_apart_deg(one: LoggedTrack, options: RegisterOptions) -> float:
+    """By how much the turns of poses and log miss each other, RMS; inf where no instants match."""
+    given, schema = options.clock_offset_s, one.log.schema
+    try:
+        if is_sparse(one.track):
+            raise EstimatorError("stops are matched by their rests")
+        clock = clock_of(one, options.largest_offset_s) if given is None else given
+        seen = moving([one], np.array([clock]), True, _ROUNDS[0])
+    except EstimatorError:
+        stops = at_rest(one, given)
+        if stops is None:
+            return float("inf")
+        seen = stop_sightings([stops], schema)
+    return _turns_apart_deg(seen)
+
+
+def stops_apart_deg(stops: Stops, schema: StateSchema) -> float:
+    """The same of stops."""
+    return _turns_apart_deg(stop_sightings([stops], schema))
+
+
+def _turns_apart_deg(seen: Sightings) -> float:
+    if len(seen.poses) < LEAST_STOPS:
+        return float("inf")
+    seen = seen.take(best_stops(seen)) if seen.apart else seen
+    turns = seen.hand().rotation, seen.poses.world_from_body.rotation
+    return float(np.degrees(align_turns(*turns)[2]))
+
+
+def choose_reading(
+    where: str, readings: Sequence[ToolReading], apart_deg: Sequence[float]
+) -> tuple[int, str]:
+    """The reading of a tool's poses that brings the turns together, and what is said of it.
+
+    If none does it is the first, and the refusal that follows says why. EstimatorError: others do
+    nearly as well.
+    """
+    best = int(np.argmin(apart_deg))
+    if not apart_deg[best] < _MOST_APART_DEG:
+        best = 0
+    words = f"{where}: holds no joints; the tool's poses are taken, {readings[best].words}"
+    others = [
+        f"{reading.words}: {left:.1f} deg"
+        for k, (reading, left) in enumerate(zip(readings, apart_deg, strict=True))
+        if k != best
+    ]
+    if not others:
+        return best, words
+    rivals = sum(left < max(CLEAR_RATIO * apart_deg[best], _ALIKE_DEG) for left in apart_deg)
+    if rivals > 1 and apart_deg[best] < _MOST_APART_DEG:
+        raise EstimatorError(
+            f"{where}: {readings[best].words} leaves {apart_deg[best]:.1f} deg, but "
+            f"{'; '.join(others)}: say which with --angles"
+        )
+    return best, (
+        f"{words}, which leaves {apart_deg[best]:.2f} deg of turns (RMS); {'; '.join(others)}. "
+        f"--angles {readings[best].angles} states it"
+    )
 
 
 def _frame(

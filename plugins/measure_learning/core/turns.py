@@ -43,6 +43,12 @@ def turn_starts(hand: Floats, pose: Floats) -> list[tuple[Floats, Floats, float]
     return [found for found in out if found[2] < best + _TOLERANCE_RAD]
 
 
+def leave_one_open(hand: Floats, pose: Floats) -> bool:
+    """Whether the turns are about one axis, or none, so that many rotations do as well."""
+    sizes = np.linalg.svd(turn_products(hand, pose), compute_uv=False)
+    return bool(sizes[1] > _ALIKE * sizes[0])
+
+
 def turn_products(hand: Floats, pose: Floats) -> Floats:
     """With vec by columns, vec(R_base) = (R_hand x R_pose) vec(R_flange): their mean (9, 9)."""
     return np.asarray(np.einsum("nab,ncd->acbd", hand, pose).reshape(9, 9) / len(hand))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.robots.schema import StateSchema
 from measure_learning.robots.columns import FeatureColumns, find_columns, heading_hint
-from measure_learning.robots.raven import FIELDS, raven_schema
+from measure_learning.robots.raven import FIELDS, Field, raven_schema
 from measure_learning.robots.tables import PIECE_ROWS
 
 _log = logging.getLogger(__name__)
@@ -280,13 +280,12 @@ def bag_pieces(
 def _bag_states(
     path: Path, schema: StateSchema, topic: str | None
 ) -> Iterator[tuple[float, Floats]]:
-    arm = {raven_schema("left").robot: 0, raven_schema("right").robot: 1}.get(schema.robot)
-    count = 0
+    arm, count = _ARMS.get(schema.robot), 0
     with open_bag(path, EstimatorError, register=_register_raven) as bag:
         if arm is None:
             rows = joint_rows(path, bag, schema, topic)
         else:
-            rows = _raven_rows(path, bag, arm, topic)
+            rows = _raven_rows(path, bag, arm, schema, topic)
         for row in rows:
             yield row
             count += 1
@@ -296,9 +295,21 @@ def _bag_states(
         raise EstimatorError(f"{path}: holds no message of the robot's topic")
 
 
-def _raven_rows(
-    path: Path, reader: Any, arm: int, topic: str | None
-) -> Iterator[tuple[float, Floats]]:
+_ARMS = {raven_schema("left").robot: 0, raven_schema("right").robot: 1}
+
+
+def held_fields(path: Path, schema: StateSchema, topic: str | None) -> set[str]:
+    """The fields of a bag's `raven_state`, which depend on the robot's software; none of others."""
+    if schema.robot not in _ARMS:
+        return set()
+    with open_bag(path, EstimatorError, register=_register_raven) as bag:
+        (connection,) = _raven_topic(path, bag, topic)
+        for _, _, raw in bag.messages(connections=[connection]):
+            return set(vars(bag.deserialize(raw, connection.msgtype)))
+    return set()
+
+
+def _raven_topic(path: Path, reader: Any, topic: str | None) -> list[Any]:
     of_type = (c for c in reader.connections if c.msgtype.lower().endswith("raven_state"))
     found = [c for c in reader.connections if c.topic == topic] if topic else [*of_type]
     if len(found) != 1:
@@ -306,15 +317,23 @@ def _raven_rows(
             f"{path}: {len(found)} topics match {topic or 'raven_state'}; it has "
             f"{described(reader.connections)}: name one with --topic, or the robot with --robot"
         )
+    return found
+
+
+def _raven_rows(
+    path: Path, reader: Any, arm: int, schema: StateSchema, topic: str | None
+) -> Iterator[tuple[float, Floats]]:
+    found = _raven_topic(path, reader, topic)
+    fields = [field for field in FIELDS if field.name in schema.groups]
     for _, _, raw in reader.messages(connections=found):
         message = reader.deserialize(raw, found[0].msgtype)
         stamp = message.hdr.stamp
-        yield stamp.sec + 1e-9 * stamp.nanosec, _row(path, message, arm)
+        yield stamp.sec + 1e-9 * stamp.nanosec, _row(path, message, arm, fields)
 
 
-def _row(path: Path, message: Any, arm: int) -> Floats:
+def _row(path: Path, message: Any, arm: int, fields: Sequence[Field]) -> Floats:
     parts = []
-    for field in FIELDS:
+    for field in fields:
         values = getattr(message, field.name, None)
         if values is None or len(values) != 2 * field.per_arm:
             size = "no" if values is None else f"{len(values)} numbers in"

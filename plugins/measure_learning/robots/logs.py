@@ -192,15 +192,43 @@ def _table_pieces(path: Path, schema: StateSchema) -> Iterator[tuple[Floats, Flo
         yield clock.seconds(table.numbers(*clock.columns)), states
 
 
+def as_held(path: Path, schema: StateSchema, topic: str | None = None) -> StateSchema:
+    """The schema without those fields of `raven_state` that a log's software has not; else itself.
+
+    Position, joints and torques must be there.
+    """
+    if not path.exists() or not schema.torques:
+        return schema
+    if is_table(path):
+        from measure_learning.robots.tables import TableFile
+
+        there = set(TableFile.open(path, schema.log.delimiter).schema.names)
+        held = {name for name, members in schema.groups.items() if there.issuperset(members)}
+    else:
+        from measure_learning.robots.bags import held_fields
+
+        held = held_fields(path, schema, topic)
+    read = (*schema.position, *schema.joints, *schema.torques)
+    needed = {name for reading in read for name, _ in reading.terms}
+    groups = {name: members for name, members in schema.groups.items() if name in held}
+    names = {name for members in groups.values() for name in members}
+    if not needed <= names:
+        return schema
+    features = tuple(feature for feature in schema.features if feature.name in names)
+    return replace(schema, features=features, groups=groups)
+
+
 class LogFile:
     """A log of any length; see `RobotLog` for what its parts are.
 
     The file is read once when this is built, and once more for every call of `states_at`. States
-    that a program wrote again until the robot answered count once.
+    that a program wrote again until the robot answered count once. Its schema has the fields that
+    the log has.
     """
 
     def __init__(self, path: Path, schema: StateSchema, topic: str | None = None) -> None:
         """Read the file; see `read_log`."""
+        schema = as_held(path, schema, topic)
         self.schema, self._path, self._topic = schema, path, topic
         times, places, whole, steps = list[Floats](), list[Floats](), list[Bools](), list[Floats]()
         last: Floats | None = None

@@ -1,128 +1,269 @@
 """Logs that hold the tool's pose and no joints: pairs of poses, as hand-eye programs take them.
 
 The pose becomes the joints of a robot that slides along x, y and z and then turns about z, y and x:
-all that is made for chains serves these logs too.
+all that is made for chains serves these logs too. Makers write one rotation in different ways under
+like headings: every usual reading of a log's headings is given, for the poses to choose.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from measure.arrays import Floats
+from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.robots.chain import Joint, SerialChain
 from measure.robots.schema import Feature, Reading, RobotLog, StateSchema
 from measure_learning.robots.log_clock import Clock
 from measure_learning.robots.tables import Table
 
+Angles = Literal[
+    "abb", "doosan", "fanuc", "kawasaki", "kuka", "matrix", "mitsubishi", "ros", "staubli", "ur",
+    "yaskawa",
+]  # fmt: skip
+"""Makers, and programs, by the way in which they write a rotation."""
+
+_FIXED = ("xyz", "about the fixed x, then y, then z")
+_MOVED_ZYZ = ("ZYZ", "about z, the moved y, the moved z")
+_EULER = {
+    "kuka": ("ZYX", "about z, the moved y, the moved x"),
+    "fanuc": _FIXED,
+    "mitsubishi": _FIXED,
+    "yaskawa": _FIXED,
+    "doosan": _MOVED_ZYZ,
+    "kawasaki": _MOVED_ZYZ,
+    "staubli": ("XYZ", "about x, the moved y, the moved z"),
+}
+_QUATERNIONS = {"abb": ([1, 2, 3, 0], "w first"), "ros": ([0, 1, 2, 3], "w last")}
+_PLACES = (
+    ("x", "y", "z"),
+    ("tx", "ty", "tz"),
+    ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
+)
+_TURNED: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
+    (("qx", "qy", "qz", "qw"), ("ros",)),
+    (("orientation.x", "orientation.y", "orientation.z", "orientation.w"), ("ros",)),
+    (("q1", "q2", "q3", "q4"), ("abb", "ros")),
+    (("q0", "q1", "q2", "q3"), ("abb", "ros")),
+    (("actual_tcp_pose_3", "actual_tcp_pose_4", "actual_tcp_pose_5"), ("ur",)),
+    (("a", "b", "c"), ("kuka", "mitsubishi", "doosan")),
+    (("w", "p", "r"), ("fanuc",)),
+    (("rx", "ry", "rz"), ("ur", "yaskawa", "staubli")),
+    (("o", "a", "t"), ("kawasaki",)),
+    (("yaw", "pitch", "roll"), ("kuka",)),
+)
+"""Headings, and who writes them: the first of these are the likeliest."""
+_UNIT = re.compile(r"(.+?)(?:[\s_]+|\s*[\[(])(mm|cm|m|deg|degrees|rad|°)[\])]?", re.IGNORECASE)
+_CELL = re.compile(r"(.*?)([0-4])[_,]?([0-4])\]?")  # of a matrix, by row and column
+_NUMBERED = re.compile(r"(.*?)[\[_.]?(\d+)\]?")
+_LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1e3}
 _SLIDES, _TURNS = ("x", "y", "z"), ("rz", "ry", "rx")
 _LONGEST_M = 10.0  # from a base to a tool; numbers within are metres
 _MOST_RAD = 6.5  # of an angle; larger ones are degrees
 _MOST_TURNED_RAD = 1.4  # of the middle angle, which is singular at a right angle
 _TRIED, _COMPARED = 100, 200  # pairs of axes, and poses in which they must not meet
+_MOST_SKEW = 0.02  # of a rotation's matrix, whose numbers are rounded
 
 
 class ToolPoses(SerialChain):
     """Not the robot's links: a pose that the robot states, in the form of a chain."""
 
 
+@dataclass(frozen=True, eq=False)
+class ToolReading:
+    """One way of reading a log's poses of the tool."""
+
+    angles: Angles
+    words: str  # which headings, and how they are read
+    states: Floats  # (n, 9)
+    schema: StateSchema
+
+    def log(self, times_s: Floats) -> RobotLog:
+        """States in the order of times (n,); rows without a time, or of the same, are left out."""
+        order = np.argsort(times_s, kind="stable")[: int(np.isfinite(times_s).sum())]
+        order = order[np.diff(times_s[order], prepend=-np.inf) > 0]
+        return RobotLog(self.schema, times_s[order], self.states[order])
+
+
 @dataclass(frozen=True)
-class _Writing:
-    """Names under which programs write a pose, and how they turn."""
+class _Headings:
+    """Columns of places and turns, the latter 3, 4, 9 (of a matrix) or 16 (a matrix with both)."""
 
-    place: tuple[str, str, str]
+    place: tuple[str, ...]
     turn: tuple[str, ...]
-    rotations: Callable[[Floats], Rotation]
+    makers: tuple[str, ...]
+
+    @classmethod
+    def of(cls, there: Sequence[str]) -> _Headings | None:
+        """Those of a tool's pose, whatever stands before all of them, and units behind; or None."""
+        stems = {_split(name)[0].lower(): name for name in reversed(there)}
+        place = next((c for names in _PLACES if (c := _under_prefix(stems, names))), ())
+        if (matrix := _matrix(stems)) and (len(matrix) == 16 or place):
+            return cls(() if len(matrix) == 16 else place, matrix, ("matrix",))
+        for names, makers in _TURNED:
+            several_joints = names[0] in ("q0", "q1") and len(makers) > 1 and "q5" in stems
+            if place and not several_joints and (turn := _under_prefix(stems, names)):
+                return cls(place, turn, makers)
+        return None
 
 
-def _angles(order: str) -> Callable[[Floats], Rotation]:
-    def rotations(values: Floats) -> Rotation:
-        in_degrees = bool((np.abs(values) > _MOST_RAD).any())
-        return Rotation.from_euler(order, values, degrees=in_degrees)
-
-    return rotations
+def _split(heading: str) -> tuple[str, str]:
+    """Name and unit."""
+    found = _UNIT.fullmatch(heading)
+    return (found[1], found[2].lower()) if found else (heading, "")
 
 
-def _quats(values: Floats) -> Rotation:
-    return Rotation.from_quat(values)
+def _under_prefix(stems: dict[str, str], names: Sequence[str]) -> tuple[str, ...]:
+    """Headings of all names, with the same before each; empty if there are none."""
+    for stem in sorted(stems, key=len):
+        before = stem.removesuffix(names[0])
+        if stem.endswith(names[0]) and (not before or before[-1] in "/_.:- "):
+            columns = [stems.get(before + name, "") for name in names]
+            if all(columns):
+                return tuple(columns)
+    return ()
 
 
-_XYZ = ("x", "y", "z")
-_WRITINGS = (
-    _Writing(
-        ("actual_TCP_pose_0", "actual_TCP_pose_1", "actual_TCP_pose_2"),
-        ("actual_TCP_pose_3", "actual_TCP_pose_4", "actual_TCP_pose_5"),
-        Rotation.from_rotvec,
-    ),
-    _Writing(("X", "Y", "Z"), ("A", "B", "C"), _angles("ZYX")),
-    _Writing(_XYZ, ("qx", "qy", "qz", "qw"), _quats),
-    _Writing(("x_mm", "y_mm", "z_mm"), ("qx", "qy", "qz", "qw"), _quats),
-    _Writing(("tx", "ty", "tz"), ("qx", "qy", "qz", "qw"), _quats),
-    _Writing(
-        ("pose.position.x", "pose.position.y", "pose.position.z"),
-        tuple(f"pose.orientation.{axis}" for axis in "xyzw"),
-        _quats,
-    ),
-    _Writing(
-        ("position.x", "position.y", "position.z"),
-        tuple(f"orientation.{axis}" for axis in "xyzw"),
-        _quats,
-    ),
-    _Writing(
-        ("field.pose.position.x", "field.pose.position.y", "field.pose.position.z"),
-        tuple(f"field.pose.orientation.{axis}" for axis in "xyzw"),
-        _quats,
-    ),
-    _Writing(_XYZ, ("rx", "ry", "rz"), Rotation.from_rotvec),
-    _Writing(_XYZ, ("yaw", "pitch", "roll"), _angles("ZYX")),
-)
+def _matrix(stems: dict[str, str]) -> tuple[str, ...]:
+    """Headings of a matrix, row by row: 16 of a pose, or 9 of a rotation; empty if there is none.
+
+    A pose without its last row has twelve; they are followed by four empty ones.
+    """
+    cells = dict[str, dict[tuple[int, int], str]]()
+    numbered = dict[str, dict[int, str]]()
+    for stem, name in stems.items():
+        if found := _CELL.fullmatch(stem):
+            cells.setdefault(found[1], {})[int(found[2]), int(found[3])] = name
+        if found := _NUMBERED.fullmatch(stem):
+            numbered.setdefault(found[1], {})[int(found[2])] = name
+    for held in cells.values():
+        first = min(held)[0]
+        for rows, columns in ((4, 4), (3, 4), (3, 3)):
+            at = [(first + i, first + j) for i in range(rows) for j in range(columns)]
+            if all(cell in held for cell in at):
+                last = [""] * (4 if (rows, columns) == (3, 4) else 0)
+                return (*(held[cell] for cell in at), *last)
+    for row in numbered.values():
+        first = min(row)
+        if first in (0, 1) and all(first + k in row for k in range(16)) and len(row) == 16:
+            return tuple(row[first + k] for k in range(16))
+    return ()
 
 
 def holds_tool_poses(there: Sequence[str]) -> bool:
     """Whether headings are those of a tool's pose."""
-    return any(set(there) >= {*one.place, *one.turn} for one in _WRITINGS)
+    return _Headings.of(there) is not None
 
 
-def read_tool_poses(path: Path, schema: StateSchema) -> RobotLog:
-    """The log of a robot that states its tool's pose; EstimatorError: it does not, or has no time.
+def read_tool_poses(
+    path: Path, schema: StateSchema, angles: Angles | None = None
+) -> list[tuple[ToolReading, RobotLog]]:
+    """The log of a robot that states its tool's pose, in each usual reading; see `tool_readings`.
 
-    Lengths are in m where all are below 10, else in mm; angles beyond 6.5 are degrees.
+    EstimatorError: it has no time.
     """
     table = Table.read(path)
     clock = Clock(str(path), table.schema.names, schema)
-    states, chain = _states(path, table)
     times = clock.seconds(table.numbers(*clock.columns))
-    good = np.isfinite(times)
-    order = np.argsort(times[good], kind="stable")
-    times, states = times[good][order], states[good][order]
-    new = np.diff(times, prepend=-np.inf) > 0
-    return RobotLog(_schema(schema, chain), times[new], states[new])
+    return [(r, r.log(times)) for r in tool_readings(path, table, schema, angles)]
 
 
-def tool_pose_states(path: Path, table: Table, schema: StateSchema) -> tuple[Floats, StateSchema]:
-    """States (n, 9) of the rows of a table that states a tool's pose, and their schema."""
-    states, chain = _states(path, table)
-    return states, _schema(schema, chain)
+def tool_readings(
+    path: Path, table: Table, schema: StateSchema, angles: Angles | None = None
+) -> list[ToolReading]:
+    """The usual readings of a table's poses of the tool, the likeliest first; or `angles` alone.
 
-
-def _states(path: Path, table: Table) -> tuple[Floats, SerialChain]:
-    names = table.schema.names
-    found = next((one for one in _WRITINGS if set(names) >= {*one.place, *one.turn}), None)
-    if found is None:
+    Lengths whose headings state no unit are in m where all are below 10, else in mm; angles beyond
+    6.5 are degrees, others radians or degrees. EstimatorError: no poses, or `angles` are not these.
+    """
+    headings = _Headings.of(table.schema.names)
+    if headings is None:
         raise EstimatorError(f"{path}: holds no pose of the tool")
-    place, turn = table.numbers(*found.place), table.numbers(*found.turn)
-    good = np.isfinite(place).all(axis=1) & np.isfinite(turn).all(axis=1)
-    if len(found.turn) == 4:
+    makers = headings.makers
+    if angles is not None:
+        alike = [set(_EULER) | {"ur"}, set(_QUATERNIONS), {"matrix"}]
+        if not any({angles, makers[0]} <= kind for kind in alike):
+            raise EstimatorError(
+                f"{path}: {', '.join(headings.turn[:4])} are not as {angles} writes rotations"
+            )
+        makers = (angles,)
+    place, turn = _numbers(table, headings)
+    good = np.asarray(np.isfinite(np.hstack([place, turn])).all(axis=1))
+    if turn.shape[1] == 4:
         good &= np.linalg.norm(turn, axis=1) > 0.5
     if good.sum() < 2:
         raise EstimatorError(f"{path}: holds {int(good.sum())} poses of the tool")
-    in_metres = found.place[0] != "x_mm" and np.abs(place[good]).max() < _LONGEST_M
-    rotations = found.rotations(turn[good])
+    place *= _LENGTHS.get(
+        _split((headings.place or headings.turn)[0])[1],
+        1e3 if np.abs(place[good]).max() < _LONGEST_M else 1.0,
+    )
+    found, problem = list[ToolReading](), EstimatorError("")
+    for maker in makers:
+        for unit in _angle_units(headings, turn[good]):
+            rotations, words = _rotations(path, maker, unit, turn[good])
+            try:
+                states, chain = _states(path, place, good, rotations)
+            except EstimatorError as reason:
+                problem = reason
+                continue
+            more = " ..." if maker == "matrix" else ""
+            said = f"{', '.join(headings.turn[:4])}{more} as {maker} writes them ({words})"
+            found.append(ToolReading(cast("Angles", maker), said, states, _schema(schema, chain)))
+    if not found:
+        raise problem
+    return found
+
+
+def _numbers(table: Table, headings: _Headings) -> tuple[Floats, Floats]:
+    """Places (n, 3) and turns (n, 3, 4 or 9) as they are written."""
+    if len(headings.turn) < 16:
+        return table.numbers(*headings.place), table.numbers(*headings.turn)
+    named = [name for name in headings.turn if name]
+    pose = np.tile(np.eye(4).ravel(), (len(table), 1))
+    pose[:, : len(named)] = table.numbers(*named)
+    pose = pose.reshape(-1, 4, 4)
+    if np.nanmedian(np.abs(pose[:, 3, :3])) > np.nanmedian(np.abs(pose[:, :3, 3])):
+        pose = np.swapaxes(pose, 1, 2)  # column by column
+    return pose[:, :3, 3].copy(), pose[:, :3, :3].reshape(-1, 9)
+
+
+def _angle_units(headings: _Headings, turn: Floats) -> list[str]:
+    """Units that angles may be in; one without a name if they are no angles."""
+    if turn.shape[1] != 3:
+        return [""]
+    if np.abs(turn).max() > _MOST_RAD:
+        return ["deg"]
+    stated = {_split(name)[1][:3] for name in headings.turn} & {"deg", "rad", "°"}
+    return ["deg" if unit == "°" else unit for unit in stated] or ["rad", "deg"]
+
+
+def _rotations(path: Path, maker: str, unit: str, turn: Floats) -> tuple[Rotation, str]:
+    """Rotations (n) as a maker writes them, and how that is."""
+    if maker == "matrix":
+        R = turn.reshape(-1, 3, 3)
+        if np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max() > _MOST_SKEW:
+            raise EstimatorError(f"{path}: its matrices are no rotations")
+        return Rotation.from_matrix(R), "row by row"
+    if maker in _QUATERNIONS:
+        order, words = _QUATERNIONS[maker]
+        return Rotation.from_quat(turn[:, order]), words
+    values, of_unit = (np.deg2rad(turn), "degrees") if unit == "deg" else (turn, "radians")
+    if maker == "ur":
+        return Rotation.from_rotvec(values), f"a rotation vector in {of_unit}"
+    order_of_axes, words = _EULER[maker]
+    return Rotation.from_euler(order_of_axes, values), f"{of_unit} {words}"
+
+
+def _states(
+    path: Path, place: Floats, good: Bools, rotations: Rotation
+) -> tuple[Floats, SerialChain]:
+    """States (n, 9) of places (n, 3) in mm and the rotations of the good rows, and their chain."""
     before, behind = _far_from_singular(rotations)
     angles = (before.inv() * rotations * behind.inv()).as_euler("ZYX")
     if np.abs(angles[:, 1]).max() > _MOST_TURNED_RAD:
@@ -131,7 +272,7 @@ def _states(path: Path, table: Table) -> tuple[Floats, SerialChain]:
             "of the joints, or shorter stretches"
         )
     q = np.full((len(place), 6), np.nan)
-    q[good] = np.column_stack([place[good] * (1e3 if in_metres else 1.0), angles])
+    q[good] = np.column_stack([place[good], angles])
     chain = _chain(before.as_matrix(), behind.as_matrix())
     tips = np.full((len(place), 3), np.nan)
     tips[good] = chain.tip_mm(q[good])

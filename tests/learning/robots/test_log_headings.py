@@ -142,7 +142,7 @@ def test_a_tools_poses_are_read_as_they_are_written(how: str, tmp_path: Path) ->
     columns = {"time_s": TIMES} | written(how, poses)
     write_text(tmp_path / "log.csv", ",", columns)
     assert holds_tool_poses(list(columns))
-    log = read_tool_poses(tmp_path / "log.csv", find_schema("ur5e"))
+    log = read_tool_poses(tmp_path / "log.csv", find_schema("ur5e"))[0][1]
     found = log.schema.chain.pose(log.schema.joint_positions(log.states))
     assert np.abs(found.difference(poses)).max() < 1e-5
     assert np.abs(log.reported_mm - poses.translation).max() < 1e-5

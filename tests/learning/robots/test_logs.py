@@ -133,3 +133,23 @@ def test_a_wrong_robot_file_is_explained(old: str, new: str, reason: str, tmp_pa
     path.write_text(GENERIC.replace(old, new, 1))
     with pytest.raises(EstimatorError, match=reason):
         find_schema(str(path))
+
+
+def test_a_state_of_older_software_is_read_as_far_as_it_goes(
+    shared: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What a model of all features needs is refused; what registers and pairs is there."""
+    from measure_learning.api.pairing import open_logs
+
+    bag = shared / "inputs" / "raven_state_without_dac" / "raven.bag"
+    (log,) = open_logs([""], [bag], raven_schema(), None)
+    assert "lacks dac_val, jac_vel, jac_f: the other 98 of 118 features" in caplog.text
+    assert log.schema.names == tuple(
+        name for name in raven_schema().names if not name.startswith(("dac_val", "jac_"))
+    )
+    assert log.complete.all()
+    assert len(log.times_s) == 900
+    assert log.states_at(np.array([3, 5])).shape == (2, 98)
+    assert log.schema.joint_positions(log.states_at(np.arange(900))).std(axis=0).max() > 0.01
+    with pytest.raises(EstimatorError, match="no field 'dac_val'"):
+        read_log(bag, raven_schema())
