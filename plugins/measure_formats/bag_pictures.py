@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
-from measure.bags import Bag, described, open_bag, split_topic, stamp_ns
+from measure.bags import Bag, described, split_topic, stamp_ns
 from measure.errors import SessionError
 from measure.model import Image
 from measure.session import Stream
@@ -25,6 +25,7 @@ from measure.session.pictures import (
     refuse_huge,
 )
 from measure.session.timestamps import Stamps
+from measure_formats.foxglove_bags import open_pictures
 from measure_formats.ros_images import GREY, encoding_of, raw_pixels
 
 _RAW, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -48,7 +49,7 @@ class _Topic:
         self._lock, self._open = threading.Lock(), ExitStack()
         self._messages: Iterator[Any] | None = None
         self._next = 0
-        with open_bag(path, SessionError, self.where) as bag:
+        with open_pictures(path, self.where) as bag:
             self.name = _chosen(bag, topic, camera, self.where)
             self.first = self._first(bag)
             self.index = _indexed(bag, self.name, self.where)
@@ -73,7 +74,7 @@ class _Topic:
 
     def _restart(self, place: int) -> None:
         self._close()
-        bag = self._open.enter_context(open_bag(self.path, SessionError, self.where))
+        bag = self._open.enter_context(open_pictures(self.path, self.where))
         received = self.index.received_ns
         self._next = int(np.searchsorted(received, received[place]))
         start_ns = int(received[place])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from measure.results import read_run
 from measure.session import dump_toml, open_session, open_video_stream, read_calibration
 from measure_studio.capture import parse_cameras
 from tests import bags
+from tests.session.conftest import jpeg
 
 rosbags = pytest.importorskip("rosbags")
 
@@ -347,3 +350,58 @@ def test_topics_play_as_cameras(recorded: Path) -> None:
         shots = list(camera.source().shots())
         assert len(shots) == 6
         assert 0 < shots[-1].arrived_s - shots[0].arrived_s < 1
+
+
+def foxglove_file(path: Path, written: str) -> list[bytes]:
+    """Three pictures of /cam0/image as JPEG and of /cam1/image as rows, 30 ms apart."""
+    pictures = [jpeg(40 * k + 20) for k in range(3)]
+    stamps = [(1_700_000_000, 30_000_000 * k) for k in range(3)]
+    rows = [cv2.imdecode(np.frombuffer(data, np.uint8), 1) for data in pictures]
+    if written == "protobuf":
+        foxglove = pytest.importorskip("foxglove")
+        channels, messages = foxglove.channels, foxglove.messages
+        with foxglove.open_mcap(str(path)):
+            jpegs = channels.CompressedImageChannel("/cam0/image")
+            raws = channels.RawImageChannel("/cam1/image")
+            for (sec, nsec), data, pixels in zip(stamps, pictures, rows, strict=True):
+                head = {"timestamp": messages.Timestamp(sec=sec, nsec=nsec), "frame_id": "cam"}
+                size = {"width": 64, "height": 48, "step": 192, "encoding": "bgr8"}
+                jpegs.log(messages.CompressedImage(**head, data=data, format="jpeg"))
+                raws.log(messages.RawImage(**head, **size, data=pixels.tobytes()))
+        return pictures
+    with path.open("wb") as file:
+        writer = pytest.importorskip("mcap.writer").Writer(file)
+        writer.start()
+        ids = []
+        for name, kind in (("/cam0/image", "CompressedImage"), ("/cam1/image", "RawImage")):
+            schema = writer.register_schema(f"foxglove.{kind}", "jsonschema", b"{}")
+            ids.append(writer.register_channel(name, "json", schema))
+        for (sec, nsec), data, pixels in zip(stamps, pictures, rows, strict=True):
+            head = {"timestamp": {"sec": sec, "nsec": nsec}, "frame_id": "cam"}
+            packed, raw = (base64.b64encode(b).decode() for b in (data, pixels.tobytes()))
+            size = {"width": 64, "height": 48, "step": 192, "encoding": "bgr8"}
+            for one, values in zip(
+                ids, ({"data": packed, "format": "jpeg"}, {**size, "data": raw}), strict=True
+            ):
+                text = json.dumps({**head, **values}).encode()
+                writer.add_message(one, sec * 10**9 + nsec + 9, text, sec * 10**9 + nsec + 9)
+        writer.finish()
+    return pictures
+
+
+@pytest.mark.parametrize("written", ["protobuf", "json"])
+def test_pictures_of_the_foxglove_sdk_are_read(tmp_path: Path, written: str) -> None:
+    path = tmp_path / "rig.mcap"
+    pictures = foxglove_file(path, written)
+    for name, address in (("cam0", path), ("cam1", Path(f"{path}#/cam1/image"))):
+        stream = open_video_stream(name, address)
+        np.testing.assert_allclose(stream.times_s, 1.7e9 + 0.03 * np.arange(3), atol=1e-6)
+        for k in (0, 2, 1):
+            pixels = cv2.imdecode(np.frombuffer(pictures[k], np.uint8), 1)
+            np.testing.assert_array_equal(stream.read(k).pixels, pixels)
+        stream.close()
+    with pytest.raises(SessionError, match="no topic /cam9 of pictures; there is /cam0/image"):
+        open_video_stream("cam9", Path(f"{path}#/cam9"))
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(SessionError, match=r"rig\.mcap: cannot be read as MCAP"):
+        open_video_stream("cam0", path)
