@@ -53,7 +53,7 @@ class FoxgloveSink(Sink):
         self._place = dict(zip(("host", "port"), host_port(self.address, 8765), strict=True))
         self._foxglove = needed("foxglove", "foxglove")
         # Its lines would stand between ours; only the first call has an effect.
-        self._foxglove.set_log_level("ERROR")
+        self._foxglove.set_log_level("CRITICAL")
         self._words = plain_names(body.name for body in self.run.bodies)
         self._messages = needed("foxglove.messages", "foxglove")
         self._channels = needed("foxglove.channels", "foxglove")
