@@ -101,7 +101,7 @@ def read_text(path: Path | str, error: type[MeasureError], most: int = MAX_TEXT_
 
 
 def read_toml_text(path: Path | str, error: type[MeasureError]) -> str:
-    """The text of a TOML file, which is small; see `read_text`."""
+    """The text of a file of settings (TOML, YAML, JSON), which is small; see `read_text`."""
     return read_text(path, error, _MAX_TOML_BYTES)
 
 

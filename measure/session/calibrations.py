@@ -14,7 +14,7 @@ import numpy as np
 from measure.bags import is_bag, split_topic
 from measure.errors import CalibrationError
 from measure.model import Intrinsics
-from measure.reading import parse_toml, read_text
+from measure.reading import parse_toml, read_toml_text
 from measure.session import calibration_file
 from measure.session.files import check_name
 from measure.session.formats import able, format_for, formats
@@ -69,7 +69,7 @@ def _foreign(path: Path) -> StatedRig | None:
     """The rig in a file of another program; None if it is ours."""
     text, toml = "", path.suffix.lower() == ".toml"
     if not is_bag(split_topic(path)[0]):
-        text = read_text(path, CalibrationError)
+        text = read_toml_text(path, CalibrationError)
         with suppress(tomllib.TOMLDecodeError):
             if isinstance(parse_toml(text).get("cameras"), list):
                 return None

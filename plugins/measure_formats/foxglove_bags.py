@@ -132,6 +132,7 @@ class _Reader:
 def _fields(message: memoryview) -> dict[int, Any]:
     """The fields of a protobuf message by number; the last one where a number repeats."""
     at, out = 0, dict[int, Any]()
+    value: Any
     while at < len(message):
         key, at = _varint(message, at)
         kind = key & 7

@@ -251,3 +251,11 @@ def test_a_rig_of_slam_that_lacks_something_is_named(tmp_path: Path, shared: Pat
     (tmp_path / "basalt.json").write_text(text)
     with pytest.raises(CalibrationError, match=r"camera '0': camera_type is 'ds': of Basalt's"):
         read_calibration(tmp_path / "basalt.json")
+
+
+def test_a_calibration_beyond_reason_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "rig.yaml").open("wb") as file:
+        file.write(b"cam0:\n")
+        file.truncate(9 << 20)
+    with pytest.raises(CalibrationError, match=r"has 9437184 bytes, and 8388608 are the most"):
+        read_calibration(tmp_path / "rig.yaml")
