@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -16,7 +14,7 @@ import pytest
 from measure.cli import main
 from measure.errors import DivergedError, EstimatorError
 from measure.host import Dataset, Estimator, Registry
-from measure_learning.core import files
+from measure_learning.core import files, sweeping
 from measure_learning.core.sweeping import read_space
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -134,6 +132,28 @@ def test_a_file_that_is_no_journal_is_left_alone(
     assert journal.read_text() == content
 
 
+def test_a_silent_trial_is_given_up_and_a_living_one_is_not(
+    words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the system: no process is asked for by its number."""
+    study, seen = sweeping.open_study(Path(words[4]), "a job"), dict[int, tuple[int, float]]()
+    space = read_space(Path(words[2]))
+    monkeypatch.setattr(sweeping, "_BEAT_S", 0.05)
+    monkeypatch.setattr(sweeping, "_SILENT_S", 1.0)
+    (silent, settings), (living, _) = (sweeping.ask(study, space) for _ in range(2))
+    with sweeping.alive([living]):
+        begun = time.monotonic()
+        while sweeping.sweep_state(study).running == 2 and time.monotonic() < begun + 20.0:
+            sweeping.requeue_dead(study, seen)
+            time.sleep(0.05)
+    state = sweeping.sweep_state(study)
+    assert (state.running, state.failed, state.waiting) == (1, 1, 1)
+    sweeping.finish(study, silent, lambda: 1.0)  # it was only slow: nobody stumbles over it
+    sweeping.finish(study, living, lambda: 2.0)
+    assert sweeping.sweep_state(study).best[0][0] == 2.0
+    assert sweeping.ask(study, space)[1] == settings
+
+
 @pytest.mark.slow
 def test_a_killed_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
     pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
@@ -148,7 +168,7 @@ def test_a_killed_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
         while not (journal.exists() and journal.stat().st_size > 2000):
             assert time.monotonic() < deadline
             time.sleep(0.05)
-        os.kill(one.pid, signal.SIGKILL)
+        one.kill()
         one.wait()
         assert two.wait(timeout=120) == 0
     state = json.loads((tmp_path / "out.json").read_text())
@@ -169,6 +189,6 @@ def test_a_scheduler_that_is_not_there_is_named(
     space = tmp_path / "space.toml"
     space.write_text(SPACE)
     words = ["sweep", str(data), str(space), "--journal", str(tmp_path / "journal.log")]
-    words += ["--estimator", "ridge", "--scheduler", "tcp://127.0.0.1:9"]
+    words += ["--estimator", "ridge", "--cluster", "tcp://127.0.0.1:9"]
     assert main(words) == 2
-    assert "--scheduler tcp://127.0.0.1:9: no scheduler answers there" in capsys.readouterr().err
+    assert "--cluster tcp://127.0.0.1:9: no scheduler answers there" in capsys.readouterr().err

@@ -131,13 +131,13 @@ class SweepOptions:
         estimator: the plugin.
         trials: finished trials wanted in all.
         split_seed: which trajectories validate.
-        scheduler: address of a dask scheduler whose workers shall run the trials.
+        cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers run the trials.
     """
 
-    estimator: str = "mlp"
+    estimator: str = TrainOptions.estimator
     trials: int = 100
     split_seed: int = 0
-    scheduler: str | None = None
+    cluster: str | None = None
 
 
 def sweep(
@@ -168,7 +168,7 @@ def sweep(
         str(data.resolve()), options.estimator, dict(settings), options.split_seed, digest
     )
     return sweeping.sweep(
-        job, ranges, journal, options.trials, scheduler=options.scheduler, report=report
+        job, ranges, journal, options.trials, cluster=options.cluster, report=report
     )
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,9 @@ from measure_learning.core.fitting import fit
 from measure_learning.core.scores import corrected_rms_mm
 from measure_learning.core.splits import split_by_trajectory
 
-_MIN_PATIENCE_S = 600.0
+_BEAT_S = 3.0  # between two signs of life of a trial
+_SILENT_S = 45.0
+"""Without a sign of life for so long a trial is given up: a busy machine delays some."""
 
 
 class Range(BaseModel):
@@ -145,9 +148,8 @@ def _check_lines(journal: Path) -> None:
 
 
 def ask(study: Any, space: Mapping[str, Range]) -> tuple[Any, dict[str, Any]]:
-    """The next trial, marked as this process's; EstimatorError if trials had other choices."""
+    """The next trial; EstimatorError if trials had other choices."""
     trial = study.ask()
-    trial.set_user_attr("worker", f"{os.uname().nodename}:{os.getpid()}")
     try:
         return trial, _suggest(trial, space)
     except ValueError as error:
@@ -180,7 +182,7 @@ def finish(study: Any, trial: Any, work: Callable[[], float]) -> None:
         fail(study, trial, str(error))
         return
     if np.isfinite(value):
-        study.tell(trial, value)
+        study.tell(trial, value, skip_if_finished=True)  # somebody may have given it up
     else:
         fail(study, trial, "the score is not a number")
 
@@ -189,8 +191,9 @@ def fail(study: Any, trial: Any, reason: str) -> None:
     """Close a trial without a score; it is not tried again."""
     import optuna
 
-    trial.set_user_attr("error", reason[:1000])
-    study.tell(trial, state=optuna.trial.TrialState.FAIL)
+    with suppress(RuntimeError):  # somebody has given it up
+        trial.set_user_attr("error", reason[:1000])
+    study.tell(trial, state=optuna.trial.TrialState.FAIL, skip_if_finished=True)
 
 
 def failures(study: Any) -> list[str]:
@@ -199,42 +202,48 @@ def failures(study: Any) -> list[str]:
     return [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
 
 
-def requeue_dead(study: Any, seen_s: dict[int, float]) -> None:
-    """Queue the settings of dead workers for the next worker.
+@contextmanager
+def alive(trials: Collection[Any]) -> Iterator[None]:
+    """Give signs of life of trials while they are worked on, from a thread beside."""
+    over = threading.Event()
 
-    `seen_s` is kept from call to call: since when each trial was seen to run, on the clock of
+    def beat() -> None:
+        count = 0
+        while not over.wait(_BEAT_S):
+            count += 1
+            for trial in tuple(trials):
+                with suppress(RuntimeError):  # it is finished
+                    trial.set_user_attr("beat", count)
+
+    thread = threading.Thread(target=beat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def requeue_dead(study: Any, seen: dict[int, tuple[int, float]]) -> None:
+    """Queue the settings of trials without signs of life for the next worker.
+
+    `seen` is kept from call to call: the last sign of each trial, and since when, on the clock of
     `time.monotonic`; the machines' own clocks may be set, and differ.
     """
     import optuna
 
-    trials = study.get_trials(deepcopy=False)
-    took = [t.duration.total_seconds() for t in trials if t.duration is not None]
-    patience_s = max(_MIN_PATIENCE_S, 10.0 * max(took, default=0.0))
-    for trial in trials:
-        if trial.state != optuna.trial.TrialState.RUNNING:
-            continue
-        watched_s = time.monotonic() - seen_s.setdefault(trial.number, time.monotonic())
-        if not _abandoned(trial, watched_s > patience_s):
-            continue
-        try:
-            study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
-        except (ValueError, RuntimeError):
-            continue  # another worker was faster
-        study.enqueue_trial(trial.params)
-
-
-def _abandoned(trial: Any, long: bool) -> bool:
-    """A worker of this machine is known to be gone; one of another is given up after long."""
-    host, _, pid = trial.user_attrs.get("worker", "").rpartition(":")
-    if host != os.uname().nodename:
-        return long
-    try:
-        os.kill(int(pid), 0)
-    except ProcessLookupError:
-        return True
-    except PermissionError:  # another user's, and alive
-        return False
-    return False
+    states, now = optuna.trial.TrialState, time.monotonic()
+    for trial in study.get_trials(deepcopy=False, states=(states.RUNNING,)):
+        beat = trial.user_attrs.get("beat", 0)
+        last, since_s = seen.setdefault(trial.number, (beat, now))
+        if beat != last:
+            seen[trial.number] = beat, now
+        elif now - since_s > _SILENT_S:
+            try:
+                study.tell(trial.number, state=states.FAIL)
+            except (ValueError, RuntimeError):
+                continue  # another worker was faster
+            study.enqueue_trial(trial.params)
 
 
 @dataclass(frozen=True)
@@ -277,20 +286,19 @@ def sweep(
     journal: Path,
     trials: int,
     *,
-    scheduler: str | None = None,
+    cluster: str | None = None,
     report: Report,
 ) -> SweepState:
     """Work on a sweep until it has `trials` finished trials; every process that calls this helps.
 
-    The journal is a file that any number of processes and machines append to. The settings of a
-    worker that was killed are tried again by another: at once on the same machine, elsewhere after
-    ten times the longest trial so far, and ten minutes at least. The workers of a dask scheduler
-    run the trials, or without one this process. EstimatorError: an extra is missing, the journal is
-    damaged or of another sweep, or as many trials failed as were wanted.
+    The journal is a file that any number of processes and machines append to, also to say that they
+    are alive. The settings of a worker that was killed are tried again by another. The workers of
+    a dask cluster run the trials, or without one this process. EstimatorError: an extra is missing,
+    the journal is damaged or of another sweep, or as many trials failed as were wanted.
     """
-    study, seen_s = open_study(journal, job.identity), dict[int, float]()
+    study, seen = open_study(journal, job.identity), dict[int, tuple[int, float]]()
     while True:
-        requeue_dead(study, seen_s)
+        requeue_dead(study, seen)
         state = sweep_state(study)
         report(min(1.0, state.finished / trials), f"{state.finished} of {trials} trials")
         if state.finished >= trials:
@@ -303,26 +311,28 @@ def sweep(
         if state.finished + state.running >= trials and not state.waiting:
             time.sleep(0.5)
             continue
-        if scheduler:
-            _on_cluster(study, job, space, scheduler, trials - state.finished)
+        if cluster:
+            _on_cluster(study, job, space, cluster, trials - state.finished)
         else:
             trial, settings = ask(study, space)
-            finish(study, trial, partial(run_trial, job, settings))
+            with alive([trial]):
+                finish(study, trial, partial(run_trial, job, settings))
 
 
 def _on_cluster(
-    study: Any, job: SweepJob, space: Mapping[str, Range], scheduler: str, wanted: int
+    study: Any, job: SweepJob, space: Mapping[str, Range], cluster: str, wanted: int
 ) -> None:
     """Hand a batch to dask's workers; dask itself repeats what a dead worker was doing."""
-    with connected(scheduler, "--scheduler") as (client, distributed):
+    with connected(cluster, "--cluster") as (client, distributed):
         workers = len(client.scheduler_info()["workers"])
         asked: dict[Any, Any] = {}
         for _ in range(min(wanted, 2 * workers)):
             trial, settings = ask(study, space)
             asked[client.submit(run_trial, job, settings, pure=False)] = trial
-        for future in distributed.as_completed(list(asked), loop=client.loop):
-            error = future.exception()
-            if isinstance(error, distributed.KilledWorker):
-                fail(study, asked[future], f"every worker that tried it died: {error}")
-            else:
-                finish(study, asked[future], future.result)
+        with alive(asked.values()):
+            for future in distributed.as_completed(list(asked), loop=client.loop):
+                error = future.exception()
+                if isinstance(error, distributed.KilledWorker):
+                    fail(study, asked[future], f"every worker that tried it died: {error}")
+                else:
+                    finish(study, asked[future], future.result)
