@@ -32,6 +32,8 @@ class Correction:
     # True if the state is unlike anything in training: do not rely on `error_mm`.
     unfamiliar: bool = False
     turn: Turns | None = None  # a single one, of the tip's rotation, where that was learnt
+    # True if the state's joints and reported tip disagree: `error_mm` is zero.
+    contradictory: bool = False
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,6 @@ class RecordingLeftOut:
     after_mm: float  # what the fit left of it, mm
     stated_mm: float  # the SD stated of that, RMS, mm
     inside_95: float  # share of labels in the 95 % region
-    correlation: float  # of stated SD and error, pose by pose; a constant SD has none
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,15 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
     result = trained.evaluation
     judged = judged_on(card["data"])
     tone, sentence = verdict(result, judged)
-    sentence = f"{sentence} {trained.promise}"
+    sentence = f"{trained.promise} {sentence}"
     page = Page(f"{card['estimator']} for {card['robot']}", sentence, tone)
-    facts = [
+    left = trained.left_out
+    facts = (
+        []
+        if left is None or not left.groups
+        else [("left on new recordings", f"{left.after_mm:.2f} mm RMS")]
+    )
+    facts += [
         ("training labels", str(card["data"]["training"]["usable"])),
         (f"{trained.scored_on} labels", str(result.after.rows)),
         ("residual over promised SD", f"{result.consistency**0.5:.2f}"),

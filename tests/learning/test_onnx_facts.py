@@ -36,6 +36,8 @@ def put(name: str, value: object) -> Callable[[dict[str, Any]], object]:
         (put("features", 7), "'features': "),
         (put("position_mm", [[0.0, 0.0, 0.0]]), "position_mm has 1 rows for 118 features"),
         (put("position_mm", {"a": 1}), "'position_mm': "),
+        (put("range", [[0.0, 1.0]]), "range has 1 rows for 118 features"),
+        (put("gap_mm", 0.0), "'gap_mm': "),
         (put("settings", "none"), "'settings': "),
         (put("robot", 3), "'robot': input should be a valid string"),
         (put("memoryless", "no"), "'memoryless': input should be a valid boolean"),

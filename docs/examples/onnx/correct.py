@@ -20,7 +20,9 @@ class Corrector:
         tick = time_s - self.ticked_s >= 0.75 * self.period_s
         self.ticked_s = time_s if tick else self.ticked_s
         rows = {"features": np.float32([state]), "tick": np.float32([[tick]])}
-        error_mm, covariance, strangeness, self.memory, *turn = self.session.run(
-            None, {**rows, "memory": self.memory}
-        )
-        return error_mm[0], covariance.reshape(3, 3), strangeness[0, 0], *(t[0] for t in turn)
+        made = self.session.run(None, {**rows, "memory": self.memory})
+        out = dict(zip((one.name for one in self.session.get_outputs()), made, strict=True))
+        self.memory = out["memory_out"]
+        turn = [out[name][0] for name in ("turn_rad", "turn_covariance") if name in out]
+        covariance = out["covariance"].reshape(3, 3)
+        return out["error_mm"][0], covariance, out["strangeness"][0, 0], *turn

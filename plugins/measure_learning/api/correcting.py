@@ -13,6 +13,7 @@ from measure.arrays import Floats, Ints
 from measure.errors import ConfigError, EstimatorError
 from measure.results import Run, read_run
 from measure.session import open_session
+from measure_learning import SHIPPED
 from measure_learning.api.pairing import read_tracks
 from measure_learning.onnx import OnnxModel
 from measure_learning.robots import find_schema
@@ -97,7 +98,7 @@ def estimate_online(
 
 def shipped_model() -> Path:
     """The network that comes with this package, trained on the simulated RAVEN-II."""
-    return Path(__file__).parents[1] / "core" / "models" / "raven_simulated.onnx"
+    return SHIPPED
 
 
 def model_file(model: Path) -> Path:

@@ -47,6 +47,7 @@ def train(
         said = {"model": str(out), "scored_on": trained.scored_on, "left_out": known}
         console.print_json(said | {"test": asdict(result)})
         return
+    console.print_text(trained.promise)
     names = ("", "RMS_mm", "SD_mm", "p95_mm", "x_mm", "y_mm", "z_mm")
     rows = [
         (name, score.rms_mm, score.sd_mm, score.p95_mm, *score.axis_rms_mm)
@@ -57,4 +58,3 @@ def train(
         f"{trained.scored_on}: {result.after.rows} labels, RMS {result.rms_change:+.1%}, SD "
         f"{result.sd_change:+.1%}; written to {out}, with its card and report beside it"
     )
-    console.note(trained.promise)

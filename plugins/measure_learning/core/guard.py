@@ -36,6 +36,7 @@ class Refusal(StrEnum):
     LEAP = "stamp far ahead of the last one"
     CROWDED = "too many senders"
     FAR = "true position far from the reported one"
+    CONTRADICTORY = "state contradicts itself: its joints and its tip disagree"
 
 
 @dataclass
@@ -116,6 +117,8 @@ class GuardedModel:
             self._last_sequence = sequence
         self._last_time_s, self._stray_time_s = time_s, np.nan
         correction = self.model.update(state, time_s)
+        if correction.contradictory:
+            return self.counters.refuse(Refusal.CONTRADICTORY)
         self.counters.corrected += 1
         self.counters.unfamiliar += correction.unfamiliar
         if self.zeroing is not None:

@@ -15,14 +15,14 @@ from pyarrow import csv, parquet
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
-from measure.host import Correction, Dataset, Turns
+from measure.host import Dataset, Turns
 from measure.reading import candidates, time_columns
 from measure.robots import StateSchema
 from measure_learning.core import offsets
 from measure_learning.core.assemble import LONGEST_GAP_S, AssemblySettings, PoseTrack, assemble
 from measure_learning.core.files import covariance_columns, turn_columns
 from measure_learning.core.frames import RobotFrame
-from measure_learning.core.guard import GuardedModel
+from measure_learning.core.guard import GuardedModel, Refusal
 from measure_learning.core.labels import Paired, chain_doubt, check_units, not_the_robot
 from measure_learning.onnx import OnnxModel
 from measure_learning.robots import LogFile, check_robot, feature_columns, is_table, log_pieces
@@ -30,7 +30,9 @@ from measure_learning.robots.columns import FeatureColumns
 from measure_learning.robots.log_clock import Clock
 from measure_learning.robots.tables import TableFile
 
-_MOST_UNFAMILIAR, _SPARSEST = 0.5, 10.0  # share of states; their steps over those of the training
+_MOST_UNLIKE, _SPARSEST = 0.5, 10.0  # share of states; their steps over those of the training
+_MOST_STALE = 0.1  # share of states whose stamp is not after the last one
+_UNFAMILIAR = "unfamiliar"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,7 @@ class Corrected:
     errors_mm: Floats  # (n, 3)
     covariances: Floats  # (n, 3, 3) of the corrected positions, mm^2
     unfamiliar: Bools  # (n,)
+    status: Any  # (n,) "corrected", "unfamiliar", or why a state was refused
     counts: dict[str, int]
     turns: Turns | None = None  # (n,) of the tip's rotation, where the model corrects it
 
@@ -146,7 +149,7 @@ class Corrector:
         """The next states; the counts are of all so far."""
         count = len(table.states)
         errors, covariances = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
-        turns, unfamiliar = Turns.unknown(count), np.zeros(count, dtype=bool)
+        turns, status = Turns.unknown(count), list[str]()
         for row, label in enumerate(table.run.tolist()):
             if label != self._run:
                 if self._true is not None and self._run is not None:
@@ -157,9 +160,11 @@ class Corrector:
                 self._guarded.reset()
                 self._run = label
             answer = self._guarded.update(table.states[row], float(table.times_s[row]))
-            if isinstance(answer, Correction):
+            if isinstance(answer, Refusal):
+                status.append(answer.value)
+            else:
                 errors[row], covariances[row] = answer.error_mm, answer.covariance
-                unfamiliar[row] = answer.unfamiliar
+                status.append(_UNFAMILIAR if answer.unfamiliar else "corrected")
                 if answer.turn is not None:
                     turns[row] = answer.turn
                 self._take(table.states[row], float(table.times_s[row]))
@@ -168,8 +173,8 @@ class Corrector:
             place, turn = self._frame.tip_covariances(model.schema, table.states)
             covariances += place
             turns = replace(turns, covariances=turns.covariances + turn)
-        rotation = turns if model.turns else None
-        return Corrected(errors, covariances, unfamiliar, self.counts, rotation)
+        rotation, words = turns if model.turns else None, np.array(status)
+        return Corrected(errors, covariances, words == _UNFAMILIAR, words, self.counts, rotation)
 
     def _take(self, state: Floats, time_s: float) -> None:
         """The true positions measured since the state before, where it was near in time."""
@@ -216,8 +221,8 @@ def correct_file(
 ) -> dict[str, int]:
     """Correct recorded states (see `read_states`), and count what became of them.
 
-    Writes Parquet or CSV: `run, i, t_s`, the errors `ex, ey, ez` in mm with `sd_mm` (3-D) and
-    `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`
+    Writes Parquet or CSV: `run, i, t_s`, the errors `ex, ey, ez` in mm with `sd_mm` (3-D),
+    `unfamiliar` and `status`, the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, ...`
     and their covariance in the base frame, `cov_xx_mm2, cov_xy_mm2, ... cov_zz_mm2`. Where the
     model corrects the tip's rotation: the rotation vector of its error in the base frame,
     `turn_x_rad` to `turn_z_rad`, its covariance `turn_cov_xx_rad2` to `turn_cov_zz_rad2` and,
@@ -245,10 +250,15 @@ def _refuse_other(path: Path, model: OnnxModel, table: StateTable, found: Correc
     """Refuse (EstimatorError) states of another robot, or on a clock of another unit."""
     schema, whole = model.schema, table.states[np.isfinite(table.states).all(axis=1)]
     joints, reported = schema.joint_positions(whole), schema.position_mm(whole)
-    if found.unfamiliar.mean() > _MOST_UNFAMILIAR and (
-        doubt := chain_doubt(schema.chain, joints, reported)
-    ):
+    unlike = np.isin(found.status, (_UNFAMILIAR, Refusal.CONTRADICTORY.value))
+    if unlike.mean() > _MOST_UNLIKE and (doubt := chain_doubt(schema.chain, joints, reported)):
         raise EstimatorError(f"{path}: its states are unlike the training, and {doubt}")
+    stale = int((found.status == Refusal.STALE.value).sum())
+    if stale > _MOST_STALE * len(found.status):
+        raise EstimatorError(
+            f"{path}: {stale} of {len(found.status)} stamps are not after the one before: sort the "
+            "rows by their time"
+        )
     steps = np.diff(table.times_s)
     usual_s = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     if not model.facts["memoryless"] and 0 < _SPARSEST * model.period_s < usual_s:
@@ -267,6 +277,7 @@ def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> di
         **{f"e{axis}": corrected.errors_mm[:, k] for k, axis in enumerate("xyz")},
         "sd_mm": corrected.sd_mm,
         "unfamiliar": corrected.unfamiliar,
+        "status": corrected.status,
         **{f"{axis}_mm": places[:, k] for k, axis in enumerate("xyz")},
         **{f"{axis}_sd_mm": corrected.axis_sd_mm[:, k] for k, axis in enumerate("xyz")},
         **covariance_columns(corrected.covariances),

@@ -15,6 +15,7 @@ from typing import Any
 
 from measure.errors import EstimatorError
 from measure.host import Dataset, Epoch, Estimator, LeftOut, Report
+from measure.host.estimator import RecordingLeftOut
 from measure.host.registry import named
 from measure_learning.core.fitting import fit
 from measure_learning.core.scores import EstimatorEvaluation, evaluate, speed_range
@@ -163,7 +164,7 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
             f"digest {facts['digest']}"
             for part, facts in card["data"].items()
         ),
-        "promise": promise(left_out and LeftOut(**left_out)),
+        "promise": promise(left_out and _left_out(left_out)),
         "said_turns": _turns(left_out),
         "times": scores["consistency"] ** 0.5,
         "said_turn": _turn(scores.get("turn")),
@@ -179,6 +180,11 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
     }
     form = Path(__file__).with_name("model_card.md").read_text("utf-8")
     path.write_text(form.format(**{**scores, **card, **values}), encoding="utf-8")
+
+
+def _left_out(values: Mapping[str, Any]) -> LeftOut:
+    turns = tuple(RecordingLeftOut(**turn) for turn in values["by_recording"])
+    return LeftOut(**{**values, "by_recording": turns})
 
 
 def _rows(scored: Iterable[tuple[str, Any, Any]]) -> str:
@@ -203,15 +209,14 @@ def _turns(left_out: Mapping[str, Any] | None) -> str:
         return ""
     lines = "\n".join(
         f"| {turn['name']} | {turn['labels']} | {turn['before_mm']:.3f} | {turn['after_mm']:.3f} | "
-        f"{turn['stated_mm']:.3f} | {turn['inside_95']:.1%} | {turn['correlation']:+.2f} |"
+        f"{turn['stated_mm']:.3f} | {turn['inside_95']:.1%} |"
         for turn in turns
     )
     return (
         "Each recording by fits that have not seen it, and by the covariance that the others "
-        "left out give; errors and SD are RMS in 3-D, mm. The correlation is that of stated SD "
-        "and error, pose by pose.\n\n"
-        "| recording | labels | as reported | corrected | stated SD | in the 95 % region | "
-        "correlation |\n|---|---:|---:|---:|---:|---:|---:|\n"
+        "left out give; errors and SD are RMS in 3-D, mm.\n\n"
+        "| recording | labels | as reported | corrected | stated SD | in the 95 % region |\n"
+        "|---|---:|---:|---:|---:|---:|\n"
         f"{lines}\n\n"
     )
 
@@ -222,9 +227,15 @@ def promise(left_out: LeftOut | None) -> str:
         return "Nothing was shown: this estimator leaves no recordings out."
     change = f"{left_out.before_mm:.3f} mm RMS become {left_out.after_mm:.3f} mm"
     if left_out.groups:
-        return (
+        said = (
             f"{left_out.recordings} recordings, {left_out.groups} groups of them left out in turn: "
             f"{change}; the covariance is that of these residuals."
+        )
+        if not (shares := [turn.inside_95 for turn in left_out.by_recording]):
+            return said
+        return (
+            f"{said} By the covariance that the others give, the 95 % region holds "
+            f"{min(shares):.0%} to {max(shares):.0%} of each recording."
         )
     number = "one recording" if left_out.recordings == 1 else f"{left_out.recordings} recordings"
     return (

@@ -12,8 +12,8 @@ from measure.arrays import Floats, Ints
 from measure.host import Dataset
 from measure.host.dataset import recording_of
 from measure.robots import StateSchema
-from measure_learning.estimators._kinematics import TorchTip, levers, tip_error
 from measure_learning.onnx import Graph, Value
+from measure_learning.onnx.kinematics import TorchTip, levers, tip_error
 
 _TURN_RAD, _SLIDE_MM = 0.05, 1.0  # joint errors (and of a tip) of an output of one
 _SOFT_MM2 = 0.25  # of the pseudo-Huber loss: quadratic below half a millimetre, linear above

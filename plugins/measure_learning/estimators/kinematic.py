@@ -17,7 +17,7 @@ from measure.geometry import RigidTransform
 from measure.robots import SerialChain
 from measure_learning import onnx
 from measure_learning.estimators._inputs import WithinTrajectoryEstimator
-from measure_learning.estimators._kinematics import chain_change
+from measure_learning.onnx.kinematics import chain_change
 from measure_learning.onnx.rotation import LEVER_MM, TurnChain, turn_errors
 from measure_learning.robots.links import (
     TURNS,

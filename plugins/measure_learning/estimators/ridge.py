@@ -14,8 +14,8 @@ from measure_learning.estimators._inputs import (
     WithinTrajectoryEstimator,
     informative_features,
 )
-from measure_learning.estimators._kinematics import levers, tip_error
 from measure_learning.estimators._play import PlayBank
+from measure_learning.onnx.kinematics import levers, tip_error
 
 
 class RidgeSettings(host.Settings):

@@ -3,6 +3,16 @@
 from measure_learning.onnx.estimator import Core, OnnxEstimator
 from measure_learning.onnx.graph import Graph, Value, seal
 from measure_learning.onnx.judging import Scaling
-from measure_learning.onnx.model import Estimates, OnnxModel
+from measure_learning.onnx.model import Corrections, Estimates, OnnxModel
 
-__all__ = ["Core", "Estimates", "Graph", "OnnxEstimator", "OnnxModel", "Scaling", "Value", "seal"]
+__all__ = [
+    "Core",
+    "Corrections",
+    "Estimates",
+    "Graph",
+    "OnnxEstimator",
+    "OnnxModel",
+    "Scaling",
+    "Value",
+    "seal",
+]

@@ -19,13 +19,14 @@ from measure.host.settings import Settings
 from measure.robots import StateSchema
 from measure_learning.onnx.graph import Graph, Value
 from measure_learning.onnx.judging import (
-    DOUBTS,
+    INGREDIENTS,
     UNJUDGED,
+    Envelope,
     Judged,
     Novelty,
     Travel,
     Trust,
-    doubts_in_graph,
+    ingredients_in_graph,
 )
 from measure_learning.onnx.model import FORMAT, OnnxModel, contract
 from measure_learning.onnx.rotation import LEVER_MM, turns_as_errors
@@ -54,6 +55,7 @@ class _Outputs:
     error: Value  # (N, 3) mm
     covariance: Value  # (N, 9) mm^2
     strangeness: Value  # (N, 1)
+    contradiction: Value  # (N, 1)
     memory: Value  # (N, S), the new memory
     memory_size: int  # S, may be 0
 
@@ -63,11 +65,13 @@ class OnnxEstimator(Estimator):
 
     Where there are several recordings, groups of them are left out in turn, and the covariance of
     a correction and what is called unfamiliar are fitted to what the others' fits leave of them;
-    else to the validation trajectories. The covariance is the second moment of those residuals,
-    times a constant and a power of the distance from the states learnt from (in range,
-    Mahalanobis, and in how far the joints moved lately, unless memoryless), times what tells
-    residuals of one recording apart: that distance, the spread that `compute` states, and the
-    square of the correction.
+    else to the validation trajectories. The covariance is the second moment of those recordings'
+    offsets, and that of the rest of their residuals times factors of what tells those of one
+    recording apart: the distance from the states learnt from (in range, Mahalanobis, and in how
+    far the joints moved lately, unless memoryless), and the spread that `compute` states. One
+    level of both is that of nine in ten recordings. Outside of the training no correction is
+    longer than its largest label, the covariance grows to that of no correction, and a state whose
+    joints contradict its tip gets none.
 
     Where labels hold the tip's rotation, another of its kind, by the settings of `draft`, learns
     the rotation's errors (see `turns_as_errors`), and becomes part of the same graph if it leaves
@@ -191,6 +195,7 @@ class OnnxEstimator(Estimator):
         steps = np.concatenate([np.diff(data.times_s[rows]) for _, rows in data.runs()])
         known = steps[np.isfinite(steps) & (steps > 0)]
         self._period_s = float(np.median(known)) if len(known) else 0.0
+        self._envelope = Envelope.of(data, validation)
         watched = {*self.watched(data), *(self.first.watched(data) if self.first else ())}
         self._novelty = Novelty.of(data, validation, sorted(watched))
         self._travel = None if self.memoryless else Travel.of(data)
@@ -270,6 +275,7 @@ class OnnxEstimator(Estimator):
                 "error_mm": (made.error, (3,)),
                 "covariance": (made.covariance, (9,)),
                 "strangeness": (made.strangeness, (1,)),
+                "contradiction": (made.contradiction, (1,)),
                 "memory_out": (memory, (size,)),
                 **turned,
             },
@@ -279,6 +285,7 @@ class OnnxEstimator(Estimator):
 
     def _whole(self, graph: Graph, given: Value, *, judging: bool = False) -> _Outputs:
         """Add all of this estimator, with its covariance, whose memory is `given`."""
+        assert self._schema is not None
         memory, nothing = given, graph.op("Mul", "tick", np.float32(0.0))
         own, travel, size = None, nothing, 0
         if self._travel is not None:
@@ -286,16 +293,28 @@ class OnnxEstimator(Estimator):
             own, memory = _slice(graph, given, 0, size), _slice(graph, given, size, _END)
             travel, own = self._travel.in_graph(graph, "features", own, "tick")
         core = self._compute(graph, "features", memory, "tick")
-        farther = graph.op("Max", *self._novelty.in_graph(graph, "features"), travel)
-        doubts = doubts_in_graph(graph, farther, core.spread or nothing, core.error)
-        strangeness = graph.op("Mul", farther, np.float32(1.0 / self._trust.limit))
+        near = graph.op("Max", *self._novelty.in_graph(graph, "features"))
+        farther = graph.op("Max", near, travel)
+        familiar = np.float32(1.0 / self._trust.limit)
+        near, strangeness = (graph.op("Mul", one, familiar) for one in (near, farther))
+        contradiction = self._envelope.contradiction(graph, self._schema, "features")
+        sound = graph.op("LessOrEqual", contradiction, np.ones((1, 1)))
+        ingredients = ingredients_in_graph(graph, farther, core.spread or nothing)
         if judging:  # the covariance's nine places carry its ingredients
-            covariance = graph.op("Concat", doubts, *[nothing] * (9 - DOUBTS), axis=1)
+            error = core.error
+            covariance = graph.op("Concat", ingredients, *[nothing] * (9 - INGREDIENTS), axis=1)
         else:
-            covariance = self._trust.covariance(graph, doubts)
+            covariance = self._trust.covariance(graph, ingredients)
+            error, covariance = self._envelope.bounded(
+                graph, core.error, covariance, strangeness, sound
+            )
         parts = [part for part in (own, core.memory) if part is not None]
         after = graph.op("Concat", *parts, axis=1) if parts else nothing
-        return _Outputs(core.error, covariance, strangeness, after, size + core.memory_size)
+        size += core.memory_size
+        if size:
+            after = self._envelope.kept(graph, near, sound, (_slice(graph, given, 0, size), after))
+        strangeness = graph.op("Max", strangeness, contradiction)
+        return _Outputs(error, covariance, strangeness, contradiction, after, size)
 
     def _facts(self, memory: int) -> dict[str, Any]:
         """The metadata `measure`, see `measure_learning.onnx.model`."""
@@ -312,6 +331,9 @@ class OnnxEstimator(Estimator):
             "memory": memory,
             "memoryless": self.memoryless,
             "joint_sd": self._joint_sd,
+            "range": self._envelope.ranges.tolist(),
+            "largest_mm": self._envelope.largest_mm,
+            "gap_mm": self._envelope.gap_mm,
             **({} if self._offset_sd_mm is None else {"offset_sd_mm": self._offset_sd_mm}),
         }
 
@@ -326,11 +348,11 @@ class OnnxEstimator(Estimator):
             )
         used = data.usable
         errors = data.errors_mm[used]
-        doubts = estimates.covariances[used].reshape(-1, 9)[:, :DOUBTS]
+        ingredients = estimates.covariances[used].reshape(-1, 9)[:, :INGREDIENTS]
         left = errors - estimates.errors_mm[used]
         recordings = np.array([recording_of(name) for name in data.names])[data.trajectory[used]]
         labels, far = data.covariances[used], estimates.strangeness[used]
-        return Judged(errors, left, labels, doubts, far, recordings)
+        return Judged(errors, left, labels, ingredients, far, recordings)
 
 
 def _slice(graph: Graph, memory: Value, start: int, stop: int) -> Value:

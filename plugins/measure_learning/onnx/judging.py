@@ -1,12 +1,13 @@
 """How far to trust a correction: distance from the states learnt from, and the covariance.
 
 Both are fitted to rows that were not learnt from, of recordings left out where there are several.
+What lies beyond them is bounded by what the training holds, see `Envelope`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,22 +15,24 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.host.dataset import Dataset
 from measure.host.estimator import RecordingLeftOut
+from measure.robots import StateSchema
 from measure_learning.onnx.graph import Graph, Value
+from measure_learning.onnx.kinematics import tip_place
 
 _CLIP_SDS = 8.0  # scaled features are clipped to this many SDs
 _LIMITS = 1.2, 1.35, 1.5  # distances of which one is the limit; real arms err no more below 1.2
 _LARGER = 1.5  # times as large residuals are a reason to call states unfamiliar
 _FEWEST = 30  # rows that show how large residuals are beyond such a limit
 _FARTHEST = 1.5  # the distance whose fourth power the covariance grows with: nothing shows farther
-_VARIANCE_MM2 = 0.01  # added to an estimator's own variance, of which the logarithm is taken
 _TRAVEL_EDGE = 0.999  # quantile of the training states' travel
 _FADING = 0.7  # of the travel, at each step of the training's rate
 _ROUND = 3.0  # recordings' worth of offsets of one size in all directions: those of a 3-D prior
 _ROUNDS, _LEAST = 12, 0.05  # of the fit of growth, and of the mean square that it may expect
-_SMALL, _RIDGE = 0.1, 0.1  # of the mean square, added to each; of the regression's mean diagonal
-_MOST_TILT = 1.0  # of the logarithm by which residuals are told apart within a recording
-_REGION_95 = 7.815 / 3.0  # 95 % quantile of chi squared with three degrees of freedom, per axis
-DOUBTS = 3  # what the covariance may depend on, see `doubts_in_graph`
+_REGION_95 = 7.815  # 95 % quantile of chi squared with three degrees of freedom
+_HELD, _OF_RECORDINGS = 0.9, 0.9  # labels in the region, of so many of the recordings left out
+_LOST = 2.0  # distance over the limit from which nothing is known of a correction
+_AGREED, _ROUNDED_MM = 0.999, 0.05  # quantile of the gaps between tip and chain; float32's share
+_MARGIN = 2.0  # of that quantile: a healthy log's largest gaps are a little larger
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +145,72 @@ def _faded(joints: Floats) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -_FADING], steps))
 
 
-def doubts_in_graph(graph: Graph, strangeness: Value, spread: Value, error: Value) -> Value:
-    """(N, DOUBTS): strangeness^4, the log of the estimator's variance, the squared correction."""
-    near = graph.op("Min", strangeness, np.array([[_FARTHEST]]))
-    square = graph.op("Mul", near, near)
-    size = graph.op("ReduceSumSquare", error, axes=[1], keepdims=1)
-    log = graph.op("Log", graph.op("Add", spread, np.float32(_VARIANCE_MM2)))
-    return graph.op("Concat", graph.op("Mul", square, square), log, size, axis=1)
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """What the training holds, beyond which nothing is corrected by a small stated error."""
+
+    ranges: Floats  # (features, 2) least and largest of the states
+    largest_mm: float  # length of the largest label
+    moment: Floats  # (3, 3) second moment of the labels, mm^2: the error of what is not corrected
+    gap_mm: float | None  # largest distance of the reported tip from the chain's; None: no chain
+
+    @classmethod
+    def of(cls, data: Dataset, validation: Dataset) -> Envelope:
+        """Of the training and validation trajectories."""
+        states = np.concatenate([data.states, validation.states])
+        labels = np.concatenate([part.errors_mm[part.usable] for part in (data, validation)])
+        gap, schema = None, data.schema
+        if schema.chain is not None and schema.joints:
+            tips = schema.chain.tip_mm(schema.joint_positions(states))
+            gaps = np.linalg.norm(schema.position_mm(states) - tips, axis=1)
+            gap = _MARGIN * float(np.quantile(gaps, _AGREED)) + _ROUNDED_MM
+        return cls(
+            np.stack([states.min(axis=0), states.max(axis=0)], axis=1),
+            float(np.linalg.norm(labels, axis=1).max()),
+            labels.T @ labels / len(labels) + 1e-6 * np.eye(3),
+            gap,
+        )
+
+    def contradiction(self, graph: Graph, schema: StateSchema, features: Value) -> Value:
+        """(N, 1): above 1 where tip and joints disagree, NaN where a state is not all numbers."""
+        total = graph.op("ReduceSum", features, graph.constant([1], np.int64), keepdims=1)
+        nothing = graph.op("Mul", total, np.float32(0.0))
+        if self.gap_mm is None:
+            return nothing
+        reported = graph.op("MatMul", features, schema.reading_matrix(schema.position))
+        apart = graph.op("Sub", reported, tip_place(graph, schema, features))
+        gap = graph.op("ReduceL2", apart, axes=[1], keepdims=1)
+        return graph.op("Add", graph.op("Mul", gap, np.float32(1.0 / self.gap_mm)), nothing)
+
+    def bounded(
+        self, graph: Graph, error: Value, covariance: Value, strangeness: Value, sound: Value
+    ) -> tuple[Value, Value]:
+        """The correction (N, 3) and covariance (N, 9) that go out.
+
+        No correction is longer than the largest label. Between once and twice the limit of
+        strangeness, what is stated passes from the covariance learnt to that of a correction that
+        has nothing to do with the error. Where a state is not `sound` (N, 1), nothing is corrected.
+        """
+        length = graph.op("ReduceL2", error, axes=[1], keepdims=1)
+        share = graph.op("Div", np.array([[self.largest_mm]]), graph.op("Max", length, [[1e-6]]))
+        error = graph.op("Mul", error, graph.op("Min", share, [[1.0]]))
+        column, row = graph.reshape(error, -1, 3, 1), graph.reshape(error, -1, 1, 3)
+        square = graph.reshape(graph.op("MatMul", column, row), -1, 9)
+        unrelated = graph.op("Add", square, self.moment.reshape(1, 9))
+        beyond = graph.op("Sub", strangeness, [[1.0]])
+        beyond = graph.op("Mul", beyond, np.float32(1.0 / (_LOST - 1.0)))
+        beyond = graph.op("Clip", beyond, np.float32(0.0), np.float32(1.0))
+        covariance = graph.mix(beyond, unrelated, covariance)
+        return (
+            graph.op("Where", sound, error, np.zeros((1, 3))),
+            graph.op("Where", sound, covariance, self.moment.reshape(1, 9)),
+        )
+
+    def kept(self, graph: Graph, near: Value, sound: Value, memory: tuple[Value, Value]) -> Value:
+        """The memory after a state: none of what is not `sound`, or as `near` as nothing learnt."""
+        before, after = memory
+        known = graph.op("And", sound, graph.op("Less", near, [[_LOST]]))
+        return graph.op("Where", known, after, before)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +220,7 @@ class Judged:
     errors_mm: Floats  # (n, 3) before the correction
     residuals_mm: Floats  # (n, 3) after it
     labels: Floats  # (n, 3, 3) covariances of the labels, mm^2
-    doubts: Floats  # (n, DOUBTS)
+    ingredients: Floats  # (n, INGREDIENTS), see `ingredients_in_graph`
     strangeness: Floats  # (n,) distance from the states learnt from, 1 at their edge
     recording: Any  # (n,) names
 
@@ -197,114 +259,87 @@ class Judged:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Tilt:
-    """A factor of the covariance that tells residuals of one recording apart, by the doubts."""
-
-    scaling: Scaling
-    slopes: Floats  # (DOUBTS,) of the factor's logarithm
-
-    @classmethod
-    def of(cls, judged: Judged, place: Ints, weight: Floats) -> Tilt:
-        """Ridge regression of log squared residuals, each recording less its mean."""
-        scaling = Scaling.of(judged.doubts)
-        squared = (judged.residuals_mm**2).sum(axis=1)
-        x = _less_means(scaling.apply(judged.doubts), place)
-        level = squared - _less_means(squared[:, None], place)[:, 0]
-        y = _less_means(np.log(squared + _SMALL * level + 1e-12)[:, None], place)[:, 0]
-        normal = (x * weight[:, None]).T @ x
-        normal += (_RIDGE * np.trace(normal) / len(normal) + 1e-12) * np.eye(len(normal))
-        return cls(scaling, np.asarray(np.linalg.solve(normal, x.T @ (weight * y)), np.float64))
-
-    def factor(self, doubts: Floats) -> Floats:
-        """(n,)."""
-        log = self.scaling.apply(doubts) @ self.slopes
-        return np.asarray(np.exp(np.clip(log, -_MOST_TILT, _MOST_TILT)))
-
-    def in_graph(self, graph: Graph, doubts: Value) -> Value:
-        """(N, 1)."""
-        log = graph.op("MatMul", self.scaling.in_graph(graph, doubts), self.slopes[:, None])
-        low, high = np.float32(-_MOST_TILT), np.float32(_MOST_TILT)
-        return graph.op("Exp", graph.op("Clip", log, low, high))
+INGREDIENTS = 3  # of the variance within a recording
 
 
-def _less_means(values: Floats, place: Ints) -> Floats:
-    """Values (n, k) less those of their recordings (n,), on average."""
-    out = values.copy()
-    for one in range(place.max() + 1):
-        out[place == one] -= values[place == one].mean(axis=0)
-    return out
+def ingredients_in_graph(graph: Graph, strangeness: Value, spread: Value) -> Value:
+    """(N, INGREDIENTS): one, strangeness^4, and the estimator's own variance, mm^2."""
+    near = graph.op("Min", strangeness, np.array([[_FARTHEST]]))
+    square = graph.op("Mul", near, near)
+    ones = graph.ones_like(strangeness)
+    return graph.op("Concat", ones, graph.op("Mul", square, square), spread, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Trust:
     """The covariance of a correction, and the distance beyond which a state is unfamiliar.
 
-    The covariance is `moment` times (1, strangeness^4) @ `growth`, both >= 0, times that of `tilt`.
+    It is `between`, of what is constant in a recording and changes with the day, plus `within`, of
+    the rest, times the ingredients @ `growth`, none of them negative.
     """
 
-    moment: Floats
-    growth: Floats
-    tilt: Tilt
+    between: Floats  # (3, 3) mm^2
+    within: Floats  # (3, 3) mm^2
+    growth: Floats  # (INGREDIENTS,)
     limit: float
 
     @classmethod
     def of(cls, judged: Judged) -> Trust:
-        """Fit what tells residuals apart, their second moment less the labels', and its growth.
+        """Fit the second moments of offsets and residuals, the growth, and one level of all.
 
-        Recordings differ by more than their states show, so each has a level of its own while
-        `tilt` and `growth` are fitted: what differs between them only (a kind of motion, say)
-        explains nothing within one. Then one level is taken: that of the residuals, or a higher one
-        where the 95 % region would hold less than 95 % of them (split conformal), recordings
-        counting by the root of their labels.
+        How `within` grows is what tells residuals of the same recording apart: what differs between
+        recordings only (a kind of motion, say) explains nothing within one. The level is the least
+        with which nine of ten recordings have nine of ten residuals in the 95 % region, and not
+        below that of the residuals.
         """
         names, place, counts = np.unique(judged.recording, return_inverse=True, return_counts=True)
         weight = 1.0 / np.sqrt(counts)[place]
         weight /= weight.sum()
-        tilt = Tilt.of(judged, place, weight)
-        residual = judged.residuals_mm / np.sqrt(tilt.factor(judged.doubts))[:, None]
+        offsets, count = judged.offsets_mm(), len(names)
+        residual = judged.residuals_mm - offsets[place]
+        between = offsets.T @ offsets / count  # its shape, of a few, is half chance
+        round_ = np.trace(between) / 3.0 * np.eye(3)
+        between += _ROUND / (count + _ROUND) * (round_ - between)
         noise = judged.labels.mean(axis=0)
         moment = (residual * weight[:, None]).T @ residual
-        offsets, count = judged.offsets_mm(), len(names)
-        offset = offsets.T @ offsets / count  # its shape, of a few, is half chance
-        round_ = np.trace(offset) / 3.0 * np.eye(3)
-        moment += _ROUND / (count + _ROUND) * (round_ - offset)
         values, axes = np.linalg.eigh(moment - noise)
         floor = 0.05 * np.linalg.eigvalsh(moment).max() + 1e-6
-        moment = (axes * np.maximum(values, floor)) @ axes.T
-        white = np.linalg.solve(moment + noise, residual.T).T
+        within = (axes * np.maximum(values, floor)) @ axes.T
+        white = np.linalg.solve(within + noise, residual.T).T
         squared = (residual * white).sum(axis=1) / 3.0
-        ingredients = np.stack([np.ones(len(residual)), judged.doubts[:, 0]], axis=1)
-        growth = _growth(squared, ingredients, place, weight)
-        scale = np.maximum(ingredients @ growth, _LEAST)
-        growth *= max(1.0, _conformal(squared / scale, weight))
-        return cls(moment, growth, tilt, _limit(judged))
+        growth = _growth(squared, judged.ingredients, place, weight)
+        plain = cls(between, within, growth, _limit(judged))
+        squared = plain.squared(judged)
+        held = [np.quantile(squared[place == one], _HELD) for one in range(count)]
+        level = np.quantile(held, _OF_RECORDINGS, method="inverted_cdf") / _REGION_95
+        level = max(1.0, float(level))
+        return replace(plain, between=level * between, within=level * within)
+
+    def covariances(self, ingredients: Floats) -> Floats:
+        """(n, 3, 3) mm^2."""
+        return self.between + (ingredients @ self.growth)[:, None, None] * self.within
+
+    def squared(self, judged: Judged) -> Floats:
+        """Squared Mahalanobis lengths (n,) of the residuals."""
+        left = judged.residuals_mm[:, :, None]
+        white = np.linalg.solve(self.covariances(judged.ingredients) + judged.labels, left)
+        return np.asarray((left * white).sum(axis=(1, 2)))
 
     def judge(self, name: str, judged: Judged) -> RecordingLeftOut:
         """How this covariance fits a recording that it was not fitted to."""
-        scale = self.growth[0] + self.growth[1] * judged.doubts[:, 0]
-        scale *= self.tilt.factor(judged.doubts)
-        stated = scale[:, None, None] * self.moment
-        left = judged.residuals_mm
-        white = np.linalg.solve(stated + judged.labels, left[:, :, None])[:, :, 0]
-        errors = np.linalg.norm(left, axis=1)
-        sd = np.sqrt(scale * np.trace(self.moment))
-        varies = errors.std() > 0 and sd.std() > 1e-9 * sd.mean()
+        stated = np.trace(self.covariances(judged.ingredients), axis1=1, axis2=2)
         return RecordingLeftOut(
             name,
-            len(left),
+            len(stated),
             *judged.rms_mm(),
-            stated_mm=float(np.sqrt((sd**2).mean())),
-            inside_95=float(((left * white).sum(axis=1) / 3.0 < _REGION_95).mean()),
-            correlation=float(np.corrcoef(sd, errors)[0, 1]) if varies else 0.0,
+            stated_mm=float(np.sqrt(stated.mean())),
+            inside_95=float((self.squared(judged) < _REGION_95).mean()),
         )
 
-    def covariance(self, graph: Graph, doubts: Value) -> Value:
+    def covariance(self, graph: Graph, ingredients: Value) -> Value:
         """(N, 9)."""
-        strange = graph.columns(doubts, [0])
-        scale = graph.op("Add", graph.op("Mul", strange, self.growth[1:]), self.growth[:1])
-        scale = graph.op("Mul", scale, self.tilt.in_graph(graph, doubts))
-        return graph.op("Mul", scale, self.moment.reshape(1, 9))
+        scale = graph.op("MatMul", ingredients, self.growth[:, None])
+        return graph.affine(scale, self.within.reshape(1, 9), self.between.reshape(1, 9))
 
 
 def _growth(squared: Floats, ingredients: Floats, place: Ints, weight: Floats) -> Floats:
@@ -323,15 +358,8 @@ def _growth(squared: Floats, ingredients: Floats, place: Ints, weight: Floats) -
         growth, _ = nnls(ingredients * scale, squared / level[place] * scale[:, 0])
         expected = np.maximum(ingredients @ growth, _LEAST)
         level = np.maximum(np.bincount(place, weight * squared / expected) / mass, _LEAST)
-    mean = float(weight @ (ingredients @ growth))
-    return np.asarray(growth / mean) if mean > 0 else np.eye(len(growth))[0]
-
-
-def _conformal(squared: Floats, weight: Floats) -> float:
-    """The factor of a covariance whose 95 % region then holds 95 % of the residuals."""
-    order = np.argsort(squared)
-    reached = int(np.searchsorted(np.cumsum(weight[order]), 0.95))
-    return float(squared[order][min(reached, len(order) - 1)]) / _REGION_95
+    mean, least = float(weight @ (ingredients @ growth)), np.eye(len(growth))[0]
+    return least if mean <= 0 else np.asarray((1.0 - _LEAST) * growth / mean + _LEAST * least)
 
 
 def _limit(judged: Judged) -> float:
@@ -346,5 +374,4 @@ def _limit(judged: Judged) -> float:
     return _LIMITS[-1]
 
 
-_LEVEL = Tilt(Scaling(np.zeros(DOUBTS), np.ones(DOUBTS)), np.zeros(DOUBTS))
-UNJUDGED = Trust(np.eye(3), np.array([1.0, 0.0]), _LEVEL, 1.0)
+UNJUDGED = Trust(np.zeros((3, 3)), np.eye(3), np.eye(INGREDIENTS)[0], 1.0)

@@ -10,22 +10,27 @@ What goes in and comes out is said by `contract`. Metadata, as JSON: `measure` a
 - `period_s`: of the states learnt from; `memory`: S, at least 1; `memoryless`: whether the memory
   may be left at zeros;
 - optional: `joint_sd`: SDs in training of the joints (else of the position); `offset_sd_mm`: per
-  axis, of the mean errors that a fit leaves of recordings it has not seen.
+  axis, of the mean errors that a fit leaves of recordings it has not seen; `range`: of each
+  feature, the least and largest value in training, in its unit; `largest_mm`: the length of the
+  largest label, which no correction exceeds; `gap_mm`: how far the reported tip may be from that
+  of the joints, null where the robot's chain is not known. Older files have no such bounds.
 """
 
 from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
-from measure.arrays import Floats
+from measure.arrays import Bools, Floats, floats
 from measure.errors import EstimatorError
 from measure.host.dataset import Dataset, Turns
 from measure.host.estimator import Correction
@@ -52,9 +57,10 @@ def contract(features: int, memory: int, period_s: float, *, turns: bool = False
         f"(N, 1), 1 for the first state and for each at least {0.75 * period_s:g} s (0.75 x "
         f"`period_s`, {period_s:g} s) after the last with a 1, else 0. Outputs: `error_mm` (N, 3), "
         "to be added to the reported tip; `covariance` (N, 9), of that error, row by row, mm^2; "
-        "`strangeness` (N, 1), above 1 or NaN for a state unlike the training; `memory_out` "
-        f"(N, {memory}).{said} Use one thread. Metadata, as JSON: `measure` (robot, features, "
-        "units) and `card`."
+        "`strangeness` (N, 1), above 1 or NaN for a state unlike the training; `contradiction` "
+        "(N, 1), above 1 or NaN for a state whose joints and tip disagree, which is not corrected "
+        f"and leaves the memory as it is; `memory_out` (N, {memory}).{said} Use one thread. "
+        "Metadata, as JSON: `measure` (robot, features, units, ranges in training) and `card`."
     )
 
 
@@ -71,15 +77,17 @@ class _Facts(_Metadata):
     period_s: Annotated[FiniteFloat, Field(ge=0)]
     memory: Annotated[int, Field(ge=1, le=_MAX_MEMORY)]
     memoryless: bool
+    range: list[tuple[FiniteFloat, FiniteFloat]] | None = None
+    largest_mm: Annotated[FiniteFloat, Field(ge=0)] | None = None
+    gap_mm: Annotated[FiniteFloat, Field(gt=0)] | None = None
     offset_sd_mm: FiniteFloat = 0.5
     joint_sd: list[FiniteFloat] = []
 
     @model_validator(mode="after")
     def _one_row_a_feature(self) -> _Facts:
-        if len(self.position_mm) != len(self.features):
-            raise ValueError(
-                f"position_mm has {len(self.position_mm)} rows for {len(self.features)} features"
-            )
+        for name, rows in (("position_mm", self.position_mm), ("range", self.range)):
+            if rows is not None and len(rows) != len(self.features):
+                raise ValueError(f"{name} has {len(rows)} rows for {len(self.features)} features")
         return self
 
 
@@ -120,8 +128,8 @@ def read_metadata(key: str, text: str, where: str) -> dict[str, Any]:
 
 
 _MAX_BYTES = 256 << 20
-_OUTPUTS = ("error_mm", "covariance", "strangeness", "memory_out")
-_TURNS = ("turn_rad", "turn_covariance")
+_WIDTHS = {"error_mm": 3, "covariance": 9, "strangeness": 1, "memory_out": 0}  # 0: the memory's
+_OPTIONAL = {"contradiction": 1, "turn_rad": 3, "turn_covariance": 9}
 _TICKS = (np.zeros((1, 1), dtype=np.float32), np.ones((1, 1), dtype=np.float32))
 
 
@@ -132,7 +140,21 @@ class Estimates:
     errors_mm: Floats  # (n, 3) measured minus reported position
     covariances: Floats  # (n, 3, 3) of the errors, in mm^2
     strangeness: Floats  # (n,) above 1 where the state is unlike the training data
+    contradiction: Floats  # (n,) above 1 where joints and tip disagree, which is not corrected
     turns: Turns | None = None  # (n,) of the tip's rotation, where that was learnt
+
+
+@dataclass(frozen=True, eq=False)
+class Corrections:
+    """Of the states of one trajectory; `error, covariance = ...` takes it apart."""
+
+    error: Floats  # (n, 3) mm, to be added to the reported tip
+    covariance: Floats  # (n, 3, 3) of that, mm^2
+    unfamiliar: Bools  # (n,) unlike the training: do not rely on the error
+    contradictory: Bools  # (n,) tip and joints disagree, or no number: the error is zero
+
+    def __iter__(self) -> Iterator[Floats]:
+        return iter((self.error, self.covariance))
 
 
 def _schema(facts: dict[str, Any], where: str) -> StateSchema:
@@ -145,7 +167,13 @@ def _schema(facts: dict[str, Any], where: str) -> StateSchema:
 
 
 class OnnxModel:
-    """A saved estimator in an onnxruntime session with one thread."""
+    """A saved estimator in an onnxruntime session with one thread.
+
+    Attributes:
+        features: names of the numbers of a state, in order.
+        schema: their units, and how position and joints are read from them.
+        facts: the file's metadata `measure`.
+    """
 
     def __init__(self, content: bytes, where: str = "model") -> None:
         import onnxruntime as ort
@@ -171,8 +199,9 @@ class OnnxModel:
             )
         self.facts = read_metadata("measure", texts["measure"], where)
         self.card = read_metadata("card", texts.get("card", "{}"), where)
-        self.turns = _TURNS[0] in (one.name for one in self._session.get_outputs())
-        self._outputs = _OUTPUTS + _TURNS if self.turns else _OUTPUTS
+        there = [one.name for one in self._session.get_outputs()]
+        self.turns = "turn_rad" in there
+        self._widths = _WIDTHS | {name: _OPTIONAL[name] for name in there if name in _OPTIONAL}
         self._check_tensors(where)
         self.where = where
         self.schema = _schema(self.facts, where)
@@ -185,7 +214,7 @@ class OnnxModel:
         """Refuse a graph whose inputs and outputs are not those that its metadata promise."""
         memory = self.facts["memory"]
         inputs = {"features": len(self.facts["features"]), "memory": memory, "tick": 1}
-        outputs = dict(zip(self._outputs, (3, 9, 1, memory, 3, 9), strict=False))
+        outputs = {name: width or memory for name, width in self._widths.items()}
         for wanted, there in (
             (inputs, self._session.get_inputs()),
             (outputs, self._session.get_outputs()),
@@ -250,19 +279,32 @@ class OnnxModel:
             )
         found, self._memory = self.step(row, self._memory, _TICKS[due])
         familiar = bool(found.strangeness[0] <= 1.0)  # NaN is unfamiliar too
+        contradictory = not found.contradiction[0] <= 1.0
         turn = found.turns and found.turns[0]
-        return Correction(found.errors_mm[0], found.covariances[0], not familiar, turn)
+        return Correction(
+            found.errors_mm[0], found.covariances[0], not familiar, turn, contradictory
+        )
 
     def step(self, states: Any, memory: Any, tick: Any) -> tuple[Estimates, Any]:
         """One step of N independent trajectories."""
-        error, covariance, strangeness, after, *turns = self._session.run(
-            self._outputs, {"features": states, "memory": memory, "tick": tick}
+        names = list(self._widths)
+        made = self._session.run(names, {"features": states, "memory": memory, "tick": tick})
+        out = dict(zip(names, made, strict=True))
+        after = out.pop("memory_out")
+        numbers = {name: values.astype(np.float64) for name, values in out.items()}
+        strangeness = numbers["strangeness"][:, 0]
+        gap = numbers.get("contradiction")
+        turns = None
+        if self.turns:
+            spread = numbers["turn_covariance"].reshape(-1, 3, 3)
+            turns = Turns(numbers["turn_rad"], spread)
+        found = Estimates(
+            numbers["error_mm"],
+            numbers["covariance"].reshape(-1, 3, 3),
+            strangeness,
+            np.zeros_like(strangeness) if gap is None else gap[:, 0],
+            turns,
         )
-        numbers = (error, covariance.reshape(-1, 3, 3), strangeness[:, 0])
-        found = Estimates(*(one.astype(np.float64) for one in numbers))
-        if turns:
-            vectors, spread = (one.astype(np.float64) for one in turns)
-            found = replace(found, turns=Turns(vectors, spread.reshape(-1, 3, 3)))
         return found, after
 
     def predict(self, data: Dataset) -> Estimates:
@@ -270,7 +312,8 @@ class OnnxModel:
         self.check(data.schema)
         count = len(data)
         turns = Turns.unknown(count) if self.turns else None
-        out = Estimates(np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count), turns)
+        errors, covariances = np.empty((count, 3)), np.empty((count, 3, 3))
+        out = Estimates(errors, covariances, np.empty(count), np.empty(count), turns)
         if self.facts["memoryless"]:
             for start in range(0, count, 4096):
                 rows = np.arange(start, min(start + 4096, count))
@@ -280,12 +323,30 @@ class OnnxModel:
             self._predict_runs(out, data)
         return out
 
+    def correct(self, states: ArrayLike, times_s: ArrayLike | None = None) -> Corrections:
+        """Corrections of states (n, features), one trajectory in time order, from its start.
+
+        Args:
+            states: numbers in the order of `features`.
+            times_s: stamps (n,), increasing; without them the states come as often as in training.
+        """
+        given = floats("states", states, "n", len(self.features))
+        count = len(given)
+        times = np.full(count, np.nan) if times_s is None else floats("times_s", times_s, count)
+        unknown = np.full((count, 3), np.nan)
+        none, rows = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
+        spread = np.tile(np.eye(3), (count, 1, 1))
+        data = Dataset(self.schema, given, times, rows, ("states",), unknown, spread, none)
+        found = self.predict(data)
+        flags = (~(one <= 1.0) for one in (found.strangeness, found.contradiction))
+        return Corrections(found.errors_mm, found.covariances, *flags)
+
     def _fill(self, out: Estimates, data: Dataset, rows: Any, memory: Any, tick: Any) -> Any:
         """Fill in the corrections of rows, each of another trajectory; returns their memory."""
         states = data.states[rows].astype(np.float32)
         part, memory = self.step(states, memory, tick[:, None].astype(np.float32))
         out.errors_mm[rows], out.covariances[rows] = part.errors_mm, part.covariances
-        out.strangeness[rows] = part.strangeness
+        out.strangeness[rows], out.contradiction[rows] = part.strangeness, part.contradiction
         if out.turns is not None and part.turns is not None:
             out.turns[rows] = part.turns
         return memory
@@ -297,7 +358,7 @@ class OnnxModel:
         lengths = np.array([rows.stop - rows.start for rows in runs])
         memory = np.zeros((len(runs), self.memory_size), dtype=np.float32)
         ticked = np.full(len(runs), -np.inf)
-        for index in range(int(lengths.max())):
+        for index in range(int(lengths.max(initial=0))):
             alive = int(np.sum(lengths > index))
             rows = starts[:alive] + index
             times = data.times_s[rows]

@@ -13,7 +13,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.host import Dataset
 from measure.robots import SerialChain, StateSchema
-from measure_learning.onnx import Graph, Value
+from measure_learning.onnx.graph import Graph, Value
 from measure_learning.onnx.rotation import LEVER_MM, TurnChain
 
 
@@ -99,25 +99,39 @@ def chain_change(graph: Graph, schema: StateSchema, features: Value, bent: Seria
     return _between(graph, schema.chain, tuple(np.stack(pair) for pair in pairs), angle)
 
 
+def tip_place(graph: Graph, schema: StateSchema, features: Value) -> Value:
+    """FK(q), (N, 3) mm, q read from the raw state."""
+    assert schema.chain is not None
+    q = graph.op("MatMul", features, schema.reading_matrix(schema.joints))
+    angle = graph.reshape(q, -1, schema.chain.size, 1, 1)
+    point = _carried(graph, schema.chain.parts, angle, 3, 4)
+    return graph.columns(graph.reshape(point, -1, 4), range(3))
+
+
 def _between(graph: Graph, chain: SerialChain, parts: tuple[Floats, ...], angle: Value) -> Value:
     """First minus second tip (N, 3) of pairs of chains, whose angles are (..., joints, 1, 1)."""
+    if isinstance(chain, TurnChain):
+        axes = _carried(graph, parts, angle, 0, 3)
+        return _turn_between(graph, graph.reshape(axes, -1, 2, 4, 3))
+    point = _carried(graph, parts, angle, 3, 4)
+    # (2N, 1, 4, 1) or (N, 2, 1, 4, 1) -> (N, 8): x y z 1 of both
+    return graph.op(
+        "MatMul", graph.reshape(point, -1, 8), np.concatenate([np.eye(4, 3), -np.eye(4, 3)])
+    )
+
+
+def _carried(graph: Graph, parts: tuple[Floats, ...], angle: Value, first: int, stop: int) -> Value:
+    """Columns (..., 1, 4, columns) of the tip's transform, `first` to `stop` of the four."""
     constant, cosine, sine, linear = parts
     steps = graph.op("Add", graph.op("Mul", graph.op("Cos", angle), cosine), constant)
     steps = graph.op("Add", steps, graph.op("Mul", graph.op("Sin", angle), sine))
     if np.any(linear):
         steps = graph.op("Add", steps, graph.op("Mul", angle, linear))
     each = graph.ops("Split", constant.shape[-3], steps, axis=-3)
-    first = 0 if (turns := isinstance(chain, TurnChain)) else 3
-    ends = (first, first + 3 if turns else 4, -1)
-    point = graph.op("Slice", each[-1], *(graph.constant([v], np.int64) for v in ends))
+    point = graph.op("Slice", each[-1], *(graph.constant([v], np.int64) for v in (first, stop, -1)))
     for step in reversed(each[:-1]):
         point = graph.op("MatMul", step, point)
-    if turns:
-        return _turn_between(graph, graph.reshape(point, -1, 2, 4, 3))
-    # (2N, 1, 4, 1) or (N, 2, 1, 4, 1) -> (N, 8): x y z 1 of both
-    return graph.op(
-        "MatMul", graph.reshape(point, -1, 8), np.concatenate([np.eye(4, 3), -np.eye(4, 3)])
-    )
+    return point
 
 
 def _turn_between(graph: Graph, axes: Value) -> Value:
