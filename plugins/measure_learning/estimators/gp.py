@@ -1,4 +1,4 @@
-"""Gaussian process with data cleaning (Mahler et al. 2014), on the states of play operators."""
+"""Gaussian process (Mahler et al. 2014) on the states of play operators, in closed form."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import numpy as np
 
 from measure import host
 from measure.arrays import Floats, Ints
-from measure.geometry.covariance import MAD_TO_SD
+from measure.host.dataset import recording_of
 from measure_learning import onnx
 from measure_learning.estimators._inputs import WithinTrajectoryEstimator
-from measure_learning.estimators._kinematics import levers, tip_error, tip_slopes
+from measure_learning.estimators._nets import STEP_GAIN
 from measure_learning.estimators._play import PlayBank
+from measure_learning.onnx.kinematics import levers, tip_error, tip_slopes
 
 _NARROWEST, _WIDEST = 0.01, 0.2  # half-widths of plays, as shares of the joint's range
 _STEP = 2.0  # by which a parameter of the kernel is multiplied or divided in the search
@@ -25,27 +26,24 @@ _JUDGES = 3000  # largest number of validation labels that choose the kernel
 class GpSettings(host.Settings):
     """Settings of `gp`."""
 
-    points: int = host.setting(2500, "Number of training rows kept for prediction.", ge=1)
+    points: int = host.setting(4000, "Number of training rows kept for prediction.", ge=1)
     tuning_points: int = host.setting(
-        400, "Number of rows from which the kernel is chosen and outliers are known.", ge=20
+        400, "Number of rows from which the kernel is chosen and its own variance known.", ge=20
     )
     play_widths: int = host.setting(8, "Number of play operators per joint combination.", ge=1)
-    cleaning_sds: float = host.setting(
-        3.0, "Rows with residuals of more than this many standard deviations are dropped.", gt=0
-    )
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """A squared exponential of the inputs over their lengths, and a linear part beside it."""
+    """Matern's of 3/2 of the inputs over their lengths, and a linear part beside it."""
 
-    joints: float  # length over the SD of a joint (or of the position)
+    joints: float  # length over the SD of a joint (or of the position), and of its steps
     plays: float  # length over the half-width of a play
     noise: float  # variance of a label's axis over that of an output, whose lever is 1 mm
 
     def stretch(self, joints: int, plays: int) -> Floats:
-        """What the inputs (joints + plays) are multiplied by."""
-        return 1.0 / np.repeat([self.joints, self.plays], [joints, plays])
+        """What the inputs (joints + plays + steps) are multiplied by."""
+        return 1.0 / np.repeat([self.joints, self.plays, self.joints], [joints, plays, joints])
 
     def neighbours(self) -> list[Kernel]:
         """A step away in one parameter."""
@@ -70,10 +68,11 @@ class _Rows:
 
 
 class GpEstimator(WithinTrajectoryEstimator):
-    """Gaussian process on joints and plays, cleaned of outliers (Mahler 2014, with velocities).
+    """Gaussian process on joints, plays and last steps (Mahler 2014, with velocities).
 
     Where the robot's chain is known, it is of joint errors g that explain the tip error J(q) g.
-    Rows are a random subset; the process's own variance joins the reported covariance.
+    Rows are a random subset, in which a recording counts by the root of its labels; the process's
+    own variance joins the reported covariance.
     """
 
     name = "gp"
@@ -90,25 +89,20 @@ class GpEstimator(WithinTrajectoryEstimator):
     def learn(
         self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
     ) -> None:
-        """Choose the kernel by the validation trajectories, drop outliers, and fit."""
+        """Choose the kernel by the validation trajectories, and fit."""
         c = self.config
         self._data_schema = data.schema
         self._reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
         self._scaling = onnx.Scaling.of(data.states @ self._reading)
-        self._bank = PlayBank.of(data, c.play_widths, _NARROWEST, _WIDEST)
+        self._bank = PlayBank.of(data, c.play_widths, _NARROWEST, _WIDEST, halves=True)
         usable = np.flatnonzero(data.usable)
         self._mean = data.errors_mm[usable].mean(axis=0)
         slopes, self._units = levers(data)
         whole = _Rows(self._inputs(data), data.errors_mm - self._mean, slopes)
-        dice = np.random.default_rng(seed)
-        few = whole.some(dice.choice(usable, min(c.tuning_points, len(usable)), replace=False))
+        order = _drawn(data, np.random.default_rng(seed))
+        few = whole.some(order[: c.tuning_points])
         self.kernel = self.known or self._chosen(few, validation, report)
-        rows = dice.choice(usable, min(2 * c.points, len(usable)), replace=False)
-        self._solve(few, self.kernel)
-        picked = whole.some(rows)
-        away = np.linalg.norm(picked.labels - self._tips(picked), axis=1)
-        clean = rows[away < c.cleaning_sds * MAD_TO_SD * np.median(away)]
-        self._finish(whole.some(clean[: c.points]), self.kernel)
+        self._finish(whole.some(order[: c.points]), self.kernel)
         report(1.0, "fitted")
 
     def _chosen(self, few: _Rows, validation: host.Dataset, report: host.Report) -> Kernel:
@@ -130,7 +124,7 @@ class GpEstimator(WithinTrajectoryEstimator):
                 report(min(0.5, 0.5 * len(scores) / _MOST_TRIALS), "choosing the kernel")
             return scores[kernel]
 
-        best = Kernel(2.0, 6.0, 0.3)  # what the arms measured so far chose
+        best = Kernel(2.0, 8.0, 0.3)  # what the arms measured so far chose
         while len(scores) < _MOST_TRIALS:
             if (other := min((best, *best.neighbours()), key=score)) == best:
                 break
@@ -138,16 +132,21 @@ class GpEstimator(WithinTrajectoryEstimator):
         return best
 
     def _inputs(self, data: host.Dataset) -> Floats:
-        """Joints, and where in its play each stands."""
+        """Joints, where in its play each stands, and their bounded last steps."""
         joints = self._scaling.apply(data.states @ self._reading)
-        return np.concatenate([joints, self._bank.features(data)], axis=1)
+        steps = np.concatenate(
+            [np.diff(joints[rows], axis=0, prepend=joints[rows][:1]) for _, rows in data.runs()]
+        )
+        parts = [joints, self._bank.features(data), np.tanh(STEP_GAIN * steps)]
+        return np.concatenate(parts, axis=1)
 
     def _near(self, inputs: Floats) -> Floats:
         """The kernel (n, points)."""
         a = (inputs * self._stretch).astype(np.float32)
         b = (self._points * self._stretch).astype(np.float32)
         squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
-        return np.exp(-0.5 * np.maximum(squares, 0.0))
+        lengths = np.sqrt(3.0 * np.maximum(squares, 0.0))
+        return (1.0 + lengths) * np.exp(-lengths)
 
     def _tips(self, rows: _Rows) -> Floats:
         """Tip errors (n, 3), to first order."""
@@ -184,18 +183,23 @@ class GpEstimator(WithinTrajectoryEstimator):
     def compute(
         self, graph: onnx.Graph, features: onnx.Value, memory: onnx.Value, tick: onnx.Value
     ) -> onnx.Core:
-        """Mean and variance of the process."""
-        sizes = graph.constant([1, self._bank.size], np.int64)
-        started, states = graph.ops("Split", 2, memory, sizes, axis=1)
+        """Mean and variance of the process; the last joints of its memory advance with ticks."""
+        sizes = graph.constant([1, self._bank.size, self._reading.shape[1]], np.int64)
+        started, states, last = graph.ops("Split", 3, memory, sizes, axis=1)
         play, states = self._bank.in_graph(graph, features, states, started)
         joints = self._scaling.in_graph(graph, graph.op("MatMul", features, self._reading))
-        inputs = graph.op("Concat", joints, play, axis=1)
+        last = graph.mix(started, last, joints)
+        steps = graph.op("Mul", graph.op("Sub", joints, last), np.float32(STEP_GAIN))
+        inputs = graph.op("Concat", joints, play, graph.op("Tanh", steps), axis=1)
         x = graph.op("Mul", inputs, self._stretch)
         points = self._points * self._stretch
         cross = graph.op("MatMul", x, -2.0 * points.T)
         square = graph.op("ReduceSumSquare", x, axes=[1], keepdims=1)
         distance = graph.op("Add", graph.op("Add", cross, square), (points**2).sum(axis=1)[None])
-        near = graph.op("Exp", graph.op("Mul", distance, np.float32(-0.5)))
+        distance = graph.op("Mul", graph.op("Max", distance, np.zeros((1, 1))), np.float32(3.0))
+        length = graph.op("Sqrt", distance)
+        near = graph.op("Add", length, np.ones((1, 1)))
+        near = graph.op("Mul", near, graph.op("Exp", graph.op("Neg", length)))
         curved = graph.op("MatMul", near, self._weights * self._units)
         straight = graph.op("MatMul", inputs, self._linear * self._units)
         outputs = graph.op("Add", curved, straight)
@@ -207,13 +211,23 @@ class GpEstimator(WithinTrajectoryEstimator):
         )
         unknown = graph.op("Sub", np.array([[self._variance]]), explained)
         variance = graph.op("Max", unknown, np.zeros((1, 1)))
-        after = graph.op("Concat", graph.ones_like(started), states, axis=1)
+        last = graph.mix(tick, joints, last)
+        after = graph.op("Concat", graph.ones_like(started), states, last, axis=1)
         return onnx.Core(mean, after, variance, self.memory_size)
 
     @property
     def memory_size(self) -> int:
-        """A started flag and the plays' states."""
-        return 1 + self._bank.size
+        """A started flag, the plays' states, and the joints of the last tick."""
+        return 1 + self._bank.size + self._reading.shape[1]
+
+
+def _drawn(data: host.Dataset, dice: np.random.Generator) -> Ints:
+    """Usable rows in random order; a recording's chance is by the root of its labels."""
+    rows = np.flatnonzero(data.usable)
+    recordings = np.array([recording_of(name) for name in data.names])[data.trajectory[rows]]
+    _, place, counts = np.unique(recordings, return_inverse=True, return_counts=True)
+    chances = 1.0 / np.sqrt(counts)[place]
+    return dice.choice(rows, len(rows), replace=False, p=chances / chances.sum())
 
 
 def _gram(near: Any, slopes: Any, noise: float) -> Any:
