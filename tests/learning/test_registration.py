@@ -18,7 +18,8 @@ from measure_learning.core import assemble
 from measure_learning.core.frames import RobotFrame, read_frame
 from measure_learning.core.registration import LoggedTrack, RegisterOptions, register
 from measure_learning.core.simulated import recording
-from measure_learning.robots import write_log
+from measure_learning.robots import find_schema, write_log
+from measure_learning.robots.links import TURNS, with_link_errors
 from measure_learning.simulator import simulate
 from tests.metrology.recordings import write_run
 from tests.results.conftest import BODY, CAMERAS
@@ -291,3 +292,45 @@ def test_a_search_without_end_is_refused(arm: Arm) -> None:
     log = replace(arm.log, times_s=arm.log.times_s * 1e5)
     with pytest.raises(EstimatorError, match="too many to search"):
         register([LoggedTrack(arm.track, log)], RegisterOptions(largest_offset_s=2e9))
+
+
+def test_the_measured_links_go_out_as_a_urdf_and_come_back(
+    arm: Arm, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And base and tool as the commands that publish them."""
+    (tmp_path / "robot.toml").write_text(robot_toml())
+    write_log(tmp_path / "log.csv", arm.log)
+    place, quats = (
+        arm.track.positions_mm,
+        RigidTransform(arm.track.rotations, np.zeros(3)).quat_wxyz,
+    )
+    np.savetxt(
+        tmp_path / "poses.csv",
+        np.column_stack([arm.track.times_s, place, quats]),
+        delimiter=",",
+        header="time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz",
+        comments="",
+    )
+    words = ["register", str(tmp_path / "poses.csv"), "--robot-log", str(tmp_path / "log.csv")]
+    words += ["--robot", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "frame.toml")]
+    out = tmp_path / "measured.urdf"
+    assert main([*words, "--urdf-out", str(out)]) == 2
+    assert "give --kinematics" in capsys.readouterr().err
+    assert main([*words, "--urdf-out", str(out), "--kinematics", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    values = np.array(said["kinematics"]["values"])
+    errors = np.where(np.resize(TURNS, values.shape), np.deg2rad(values), values)
+    measured, q = with_link_errors(ur5e(), errors), arm.log.states[::50, :6]
+    schema = find_schema(str(out))
+    assert schema.chain is not None
+    assert [reading.terms[0][0] for reading in schema.joints] == [f"q{k}" for k in range(6)]
+    off = schema.chain.pose(q).difference(measured.pose(q))
+    assert np.abs(off[:, :3]).max() < 1e-3  # 1 um
+    assert np.abs(off[:, 3:]).max() < 1e-8
+    assert np.linalg.norm(schema.chain.tip_mm(q) - ur5e().tip_mm(q), axis=1).max() > 0.1
+    base = dict(zip(*[iter(said["static_transforms"][0].split()[4:])] * 2, strict=True))
+    assert base["--frame-id"] == "world"
+    shift = [1e3 * float(base[f"--{axis}"]) for axis in "xyz"]
+    np.testing.assert_allclose(shift, said["world_from_base"]["translation_mm"], atol=1e-5)
+    turn = [float(base[f"--q{axis}"]) for axis in "wxyz"]
+    np.testing.assert_allclose(turn, said["world_from_base"]["quat_wxyz"], atol=1e-8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -168,3 +169,23 @@ def test_a_body_that_creeps_on_the_tool_is_named(arm: Arm) -> None:
     words = r"the body on the tool moved by \d\.\d mm and [456]\."
     with pytest.raises(EstimatorError, match=words):
         register([LoggedTrack(track, arm.log)], RegisterOptions())
+
+
+def test_the_cameras_scale_is_named_to_a_thousandth() -> None:
+    """Without the links in the estimate, base and tool take a part of it."""
+    arm = recorded(2, seconds=40.0, frame_hz=5.0, true=ur5e(mm=0.3, deg=0.03, seed=2))
+    track = moved(arm.track, 0.995 * arm.track.positions_mm)
+    with pytest.raises(EstimatorError, match=r"times as large as the robot's, SD 0\.00") as told:
+        register([LoggedTrack(track, arm.log)], RegisterOptions())
+    named = re.search(r"world is (\d\.\d+) times", str(told.value))
+    assert named
+    assert abs(float(named[1]) - 0.995) < 0.001
+
+
+def test_a_given_clock_is_held_against_the_motion(arm: Arm) -> None:
+    """Computers that are a few ms apart are believed: a robot's own delay looks like that."""
+    one = LoggedTrack(arm.track, arm.log)
+    with pytest.raises(EstimatorError, match=r"given clock offset of .* leave out --clock-offset"):
+        register([one], RegisterOptions(clock_offset_s=arm.clock_offset_s + 0.15))
+    found = register([one], RegisterOptions(clock_offset_s=arm.clock_offset_s + 0.002))
+    assert found.clock_offsets_s[arm.track.name] == pytest.approx(arm.clock_offset_s + 0.002)

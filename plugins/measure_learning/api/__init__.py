@@ -14,6 +14,7 @@ from measure_learning.api.pairing import (
     RunFacts,
     SimulationOptions,
     make_dataset,
+    measured_urdf,
     register,
     simulate_dataset,
     simulate_recording,
@@ -29,7 +30,7 @@ from measure_learning.api.training import (
 
 __all__ = [
     "RenderOptions", "RunFacts", "SimulationOptions", "SweepOptions", "TrainOptions", "ablate",
-    "correct_simulated_robot", "estimate_file", "estimate_online", "make_dataset", "model_file",
-    "parse_settings", "register", "rezero", "robot_recording", "shipped_model",
+    "correct_simulated_robot", "estimate_file", "estimate_online", "make_dataset", "measured_urdf",
+    "model_file", "parse_settings", "register", "rezero", "robot_recording", "shipped_model",
     "simulate_dataset", "simulate_recording", "sweep", "train",
 ]  # fmt: skip

@@ -292,6 +292,24 @@ def register(
     return register(list(map(LoggedTrack, tracks, opened, shared)), options)
 
 
+def measured_urdf(frame: RobotFrame, robot: str) -> str:
+    """A URDF of the robot with the links and zeros that a registration with `kinematics` found."""
+    import numpy as np
+
+    from measure_learning.robots.links import TURNS, with_link_errors
+    from measure_learning.robots.urdf import urdf_text
+
+    schema = find_schema(robot)
+    if frame.kinematics is None or schema.chain is None:
+        raise ConfigError("a URDF of the measured links needs --kinematics")
+    values = np.array(frame.kinematics["values"])
+    errors = np.where(np.resize(TURNS, values.shape), np.deg2rad(values), values)
+    names = [reading.terms[0][0] for reading in schema.joints]
+    if len({*names}) < len(names):
+        names = [f"joint_{k + 1}" for k in range(len(names))]
+    return urdf_text(schema.robot, names, with_link_errors(schema.chain, errors))
+
+
 def _stops(path: Path, schema: StateSchema, options: RegisterOptions) -> tuple[Stops, StateSchema]:
     """The stops of a table, and the schema of their states."""
     from measure_learning.core.files import read_stops

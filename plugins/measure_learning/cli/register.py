@@ -14,6 +14,7 @@ from measure.arrays import Floats
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import FIELDS, RobotOptions
+from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure_learning import api as learning_api
 from measure_learning.core.frames import RobotFrame, write_frame
@@ -29,6 +30,7 @@ def register(
     stops: Annotated[tuple[Path, ...], Parameter(name="--stops")] = (),
     source: RobotOptions = RobotOptions(),
     options: Annotated[RegisterOptions, FIELDS] = RegisterOptions(),
+    urdf_out: Path | None = None,
     json: JsonFlag = False,
 ) -> None:
     """Find where a robot stands in the cameras' world, and the body on its tool.
@@ -42,13 +44,20 @@ def register(
         runs: run folders, or tables of poses; the cameras and the body stayed where they were.
         stops: instead of runs and a log, a table with pose and joints of a stop in each row.
         out: the frame to write, for `measure dataset --frame`.
+        urdf_out: with --kinematics, also write the robot with its measured links and zeros.
     """
+    if urdf_out and not options.kinematics:
+        raise ConfigError("--urdf-out holds the measured links: give --kinematics")
     with api.output(out, overwrite) as file:
         logs, robot, topic = source.robot_log, source.robot, source.topic
         found = learning_api.register(runs, logs, robot, options, topic=topic, stops=stops)
         write_frame(file, found)
+    if urdf_out:
+        with api.output(urdf_out, overwrite) as file:
+            file.write_text(learning_api.measured_urdf(found, robot), encoding="utf-8")
     if json:
-        console.print_json({"output": out, **found.values()})
+        ros = {"static_transforms": found.static_transforms()}
+        console.print_json({"output": out, **found.values(), **ros})
     else:
         _print(found, out)
 
@@ -76,6 +85,8 @@ def _print(found: RobotFrame, out: Path) -> None:
         console.print_text(sentence)
     if (helps := facts.get("next_pose")) is not None:
         console.print_text(_next_pose(helps))
+    for command in found.static_transforms():
+        console.print_text(command)
     console.print_text(f"wrote {out}: pair with `measure dataset --frame {out}`")
 
 

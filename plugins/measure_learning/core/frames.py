@@ -53,6 +53,24 @@ class RobotFrame:
             "kinematics": self.kinematics,
         }
 
+    def static_transforms(self) -> list[str]:
+        """Commands of ROS 2 that publish both transforms."""
+        names = ("world", "body") if not self.eye_in_hand else ("body", "cameras")
+        out = []
+        for parent, child, pose in (
+            (names[0], "base", self.world_from_base),
+            ("flange", names[1], self.flange_from_body),
+        ):
+            w, *xyz = pose.quat_wxyz.tolist()
+            values = dict(zip("xyz", (pose.translation / 1e3).tolist(), strict=True))
+            values |= dict(zip(("qx", "qy", "qz", "qw"), (*xyz, w), strict=True))
+            words = " ".join(f"--{name} {value:.9f}" for name, value in values.items())
+            out.append(
+                f"ros2 run tf2_ros static_transform_publisher {words} --frame-id {parent} "
+                f"--child-frame-id {child}"
+            )
+        return out
+
     def to_base(self, track: PoseTrack) -> PoseTrack:
         """Point and flange's rotation in the robot's base, of a track in the cameras' world.
 

@@ -11,10 +11,17 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.geometry import skew
-from measure.limits import CLEAR_RATIO
+from measure.limits import CLEAR_RATIO, LEVER_MM
 from measure.robots import SerialChain, StateSchema
 from measure_learning.core.clock import MIN_KEPT_SHARE
-from measure_learning.core.frame_fit import FRAMES, FrameFit, Sightings, best_stops, fit_frames
+from measure_learning.core.frame_fit import (
+    FRAMES,
+    FrameFit,
+    Sightings,
+    best_stops,
+    fit_frames,
+    quick_miss,
+)
 from measure_learning.core.frames import RobotFrame
 from measure_learning.core.judged_frames import judgement
 from measure_learning.core.labels import check_turns
@@ -107,6 +114,8 @@ def register(recordings: Sequence[LoggedTrack], options: RegisterOptions) -> Rob
         if all(stops):
             return register_stops([one for one in stops if one], schema, options)
         raise _slip_behind(recordings, options, problem) from None
+    if given is not None:
+        _refuse_clock(recordings, given, options.largest_offset_s)
     for most in _ROUNDS:
         seen = moving(recordings, clocks, given is not None, most)
         _refuse_poor(seen, schema.robot)
@@ -240,6 +249,27 @@ def _refuse_unfit(recordings: Sequence[LoggedTrack], kinematics: bool) -> None:
             raise EstimatorError(
                 f"{one.track.name}: holds positions alone; registering needs poses: give a run, or "
                 "a table with qw, qx, qy, qz"
+            )
+
+
+def _refuse_clock(recordings: Sequence[LoggedTrack], given_s: float, largest_s: float) -> None:
+    """Refuse a clock offset that is given where the one of the motion leaves far less."""
+    for one in recordings:
+        if one.log.schema.chain is None:
+            continue
+        try:
+            found_s = clock_of(one, largest_s)
+            left, given_left = (
+                quick_miss(moving([one], np.array([at_s]), True, _ROUNDS[0]))
+                for at_s in (found_s, given_s)
+            )
+        except EstimatorError:  # the motion shows no clock
+            continue
+        if given_left > max(CLEAR_RATIO * left, _WRONG_CHAIN_MM):
+            raise EstimatorError(
+                f"{one.track.name}: with the given clock offset of {given_s:.4g} s {given_left:.1f}"
+                f" mm are left (turns at {LEVER_MM:g} mm), with {found_s:.4f} s, which the motion "
+                f"shows, {left:.2f} mm: leave out --clock-offset-s, or give that"
             )
 
 

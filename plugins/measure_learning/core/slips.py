@@ -31,6 +31,7 @@ from measure_learning.core.frame_fit import (
     quick_miss,
     turns_agree,
 )
+from measure_learning.robots.links import usual_sd
 
 _COMPARED, _FITTED = 60, 120  # poses by which slips are ranked, and the best of them fitted
 _FINALISTS = 4  # slips ranked by all, after the rotations alone; and those fitted
@@ -40,6 +41,7 @@ _EXPLAINED = 0.6  # share of the RMS up to which one more unknown leaves it, to 
 _LEAST_SCALE, _MOST_SCALE = 2e-3, 0.2
 """Errors of the cameras' scale: those of long links look like smaller ones; by more nothing fits.
 """
+_SCALE_ROUNDS = 3  # of weighing by what is left: at first the scale is in it
 _LEAST_JUMP_MM, _LEAST_JUMP_RAD = 0.5, 0.002
 _WEIGHED = 600  # poses by which small changes are looked for
 _CUTS = 40  # places in time where a jump is looked for
@@ -195,6 +197,7 @@ class Misfit:
     recording: Ints  # (n,) from 0 on
     times_s: Floats | None  # (n,) None where no jump in time is looked for
     by_tool: Floats | None = None  # (n, m, k) by the body's place on the tool
+    by_links: Floats | None = None  # (n, m, links) by errors of the links, of the usual size
 
     @classmethod
     def of(cls, fit: FrameFit, seen: Sightings) -> Misfit:
@@ -209,6 +212,7 @@ class Misfit:
             seen.recording,
             None if seen.apart else seen.poses.times_s,
             None if seen.chain is None else near.slopes[:, :, 6:FRAMES],
+            near.slopes[:, :, free:],
         )
 
     def left_with(self, extra: Floats) -> tuple[float, Floats]:
@@ -223,6 +227,26 @@ class Misfit:
         known = np.concatenate([self.known, np.zeros(extra.shape[2])])
         x = posterior_covariance(N, known) @ g
         return _size_mm(r - slopes @ x), x[len(self.known) :]
+
+    def scale(self, by_scale: Floats) -> tuple[float, float]:
+        """The cameras' scale beyond 1 and its SD, by its slopes (n, m, 1).
+
+        Links that are all too long look the same, and without them a third of the scale is taken
+        for the base's and the tool's.
+        """
+        few = _some(len(self.residuals), _WEIGHED)
+        links = self.slopes[:, :, :0] if self.by_links is None else self.by_links
+        slopes = np.concatenate([self.slopes[few], links[few], by_scale[few]], axis=2)
+        of_links = usual_sd(links.shape[2]) ** -2.0
+        known = np.concatenate([self.known, of_links, [_MOST_SCALE**-2.0]])
+        r = left = self.residuals[few]
+        for _ in range(_SCALE_ROUNDS):
+            weights = np.linalg.pinv(self.covariances[few].mean(axis=0) + left.T @ left / len(r))
+            N = np.einsum("nap,ab,nbq->pq", slopes, weights, slopes, optimize=True)
+            C = posterior_covariance(N, known)
+            x = C @ np.einsum("nap,ab,nb->p", slopes, weights, r, optimize=True)
+            left = r - slopes @ x
+        return float(x[-1]), float(np.sqrt(C[-1, -1]))
 
 
 def changed(misfit: Misfit, own_mm: float = np.inf) -> str | None:
@@ -243,8 +267,10 @@ def changed(misfit: Misfit, own_mm: float = np.inf) -> str | None:
     if not what:
         if not _LEAST_SCALE < abs(x[0]) < _MOST_SCALE:
             return None
+        scale, sd = misfit.scale(by_scale)
         return (
-            f"the cameras' world is {1 + x[0]:.4f} times as large as the robot's: {words}: was the "
+            f"the cameras' world is {1 + scale:.4f} times as large as the robot's, SD {sd:.4f}: "
+            f"{words}: was the "
             "board's square size that of the print, and the body file that of the body? Calibrate "
             "again (or the robot's links are all too long by that)"
         )

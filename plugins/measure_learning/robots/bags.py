@@ -268,17 +268,20 @@ def _register_raven(store: Any, typesys: Any) -> None:
 
 
 def bag_pieces(
-    path: Path, schema: StateSchema, topic: str | None = None
+    path: Path, schema: StateSchema, topic: str | None = None, *, again: bool = False
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Stamps (n,) in s and states (n, features) of one arm from a bag, piece by piece."""
-    states = _bag_states(path, schema, topic)
+    """Stamps (n,) in s and states (n, features) of one arm from a bag, piece by piece.
+
+    That the bag was cut off is not said `again`.
+    """
+    states = _bag_states(path, schema, topic, again)
     while some := list(itertools.islice(states, PIECE_ROWS)):
         times, rows = zip(*some, strict=True)
         yield np.array(times), np.array(rows)
 
 
 def _bag_states(
-    path: Path, schema: StateSchema, topic: str | None
+    path: Path, schema: StateSchema, topic: str | None, again: bool
 ) -> Iterator[tuple[float, Floats]]:
     arm, count = _ARMS.get(schema.robot), 0
     with open_bag(path, EstimatorError, register=_register_raven) as bag:
@@ -289,7 +292,7 @@ def _bag_states(
         for row in rows:
             yield row
             count += 1
-        if bag.cut_off:
+        if bag.cut_off and not again:
             _log.warning("%s", bag.cut_off)
     if not count:
         raise EstimatorError(f"{path}: holds no message of the robot's topic")

@@ -83,9 +83,12 @@ def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> Ro
 
 
 def log_pieces(
-    path: Path, schema: StateSchema, topic: str | None = None
+    path: Path, schema: StateSchema, topic: str | None = None, *, again: bool = False
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Times (n,) and states (n, features) of a log in order, piece by piece; see `read_log`."""
+    """Times (n,) and states (n, features) of a log in order, piece by piece; see `read_log`.
+
+    What is wrong with a file is not said `again`.
+    """
     if not path.exists():
         raise EstimatorError(f"{path}: no such robot log")
     if is_table(path):
@@ -93,7 +96,7 @@ def log_pieces(
     else:
         from measure_learning.robots.bags import bag_pieces
 
-        pieces = bag_pieces(path, schema, topic)
+        pieces = bag_pieces(path, schema, topic, again=again)
     row, last_s, kept = 0, -np.inf, 0
     for times, states in pieces:
         _check_times(path, times, last_s, row)
@@ -257,7 +260,8 @@ class LogFile:
         wanted = np.flatnonzero(self.new.rows)[rows[order]]
         out = np.empty((len(rows), len(self.schema.features)))
         start = done = 0
-        for times, states in log_pieces(self._path, self.schema, self._topic):
+        pieces = log_pieces(self._path, self.schema, self._topic, again=True)
+        for times, states in pieces:
             stop = int(np.searchsorted(wanted, start + len(times)))
             out[order[done:stop]] = states[wanted[done:stop] - start]
             start, done = start + len(times), stop

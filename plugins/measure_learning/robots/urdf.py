@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
@@ -65,6 +66,32 @@ def read_urdf(
     if not joints:
         raise EstimatorError(f"{path}: no joint moves between {base or 'the root'} and the tip")
     return tuple(names), SerialChain(tuple(joints), link)
+
+
+def urdf_text(robot: str, names: Sequence[str], chain: SerialChain) -> str:
+    """A URDF of a chain whose joints have `names`; `read_urdf` gives the same chain."""
+    root = ET.Element("robot", name=robot)
+    links = ["base_link", *(f"link_{k + 1}" for k in range(chain.size)), "tip"]
+    for link in links:
+        ET.SubElement(root, "link", name=link)
+    steps = [(joint.link, joint) for joint in chain.joints] + [(chain.tool, None)]
+    for k, (matrix, joint) in enumerate(steps):
+        kind = _STILL if joint is None else _SLIDES if joint.prismatic else _TURNS[1]
+        element = ET.SubElement(root, "joint", name=(*names, "to_tip")[k], type=kind)
+        ET.SubElement(element, "parent", link=links[k])
+        ET.SubElement(element, "child", link=links[k + 1])
+        rpy = Rotation.from_matrix(matrix[:3, :3]).as_euler("xyz")
+        ET.SubElement(element, "origin", xyz=_words(matrix[:3, 3] / 1e3), rpy=_words(rpy))
+        if joint is not None:
+            ET.SubElement(element, "axis", xyz=_words(joint.axis))
+        if kind == _SLIDES:
+            ET.SubElement(element, "limit", lower="-10", upper="10", effort="0", velocity="0")
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _words(values: Floats) -> str:
+    return " ".join(f"{value:.12g}" for value in values + 0.0)
 
 
 def _mimicked(path: Path, joint: ET.Element, name: str) -> tuple[Follows, float]:
