@@ -21,9 +21,9 @@ from measure.checking import (
     ColorlessCount,
     Coverage,
     DuplicateCount,
+    ExposureCount,
     Finding,
     Level,
-    OverexposedCount,
     SearchSample,
     coverage_findings,
     expected_accuracy,
@@ -38,13 +38,14 @@ from measure.checking.clocks import CameraClock
 from measure.checking.coverage import disagreeing_causes
 from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose_recording
 from measure.checking.motion import MotionCheck, check_motion, flag_findings
-from measure.checking.pictures import gaps_alone, stamp_causes, woven_causes
+from measure.checking.pictures import gaps_alone, smear_causes, stamp_causes, woven_causes
 from measure.checking.search import loose_sample
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
-from measure.measuring.woven_images import WovenImages
+from measure.measuring.smeared_images import SmearedImages
+from measure.measuring.woven_images import BallSteps, WovenImages
 from measure.model import Detection
 from measure.processes import Progress, quiet
 from measure.session import Session, holds_jpeg, open_session, read_calibration, session_lacks
@@ -289,8 +290,8 @@ class _Looking:
         session = self.session
         searched, every = list[SearchSample](), list[Mapping[str, Sequence[Detection]]]()
         numbers = list[dict[str, int]]()
-        duplicates, colorless, overexposed = DuplicateCount(), ColorlessCount(), OverexposedCount()
-        woven = WovenImages()
+        duplicates, colorless, overexposed = DuplicateCount(), ColorlessCount(), ExposureCount()
+        steps, woven, smeared = BallSteps(), WovenImages(), SmearedImages()
         detectors = build_detectors(self.profile, self.registry, session.body, session.cameras)
         for frame_set, (found,) in search_frame_sets(session, [detectors], self._chosen):
             numbers.append({name: image.frame for name, image in frame_set.images.items()})
@@ -300,7 +301,9 @@ class _Looking:
             duplicates.add(frame_set)
             colorless.add(frame_set)
             overexposed.add(frame_set, searched[-1].agreeing)
-            woven.add(frame_set, searched[-1].agreeing)
+            stepped = steps.of(frame_set, searched[-1].agreeing, look=True)
+            woven.add(stepped)
+            smeared.add(stepped)
             every.append(seen)
             self.step()
         self._leave_out(searched, every, [duplicates.copying(searched)] * len(searched))
@@ -310,6 +313,7 @@ class _Looking:
             *stamp_causes(times_s),
             *arrangement_causes(every, searched, session.body, session.cameras),
             *woven_causes(woven.cameras, len(session.cameras)),
+            *smear_causes(smeared.smear, len(session.cameras)),
         ]
         causes += channel_causes(session, detectors, searched, every, self._chosen) * (not causes)
         certain = any(cause.cause in _FIRST_OF_ALL for cause in causes)

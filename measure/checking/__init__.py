@@ -5,7 +5,7 @@ from measure.checking.finding import Finding, Level, worst_first
 from measure.checking.pictures import (
     ColorlessCount,
     DuplicateCount,
-    OverexposedCount,
+    ExposureCount,
     damage_findings,
     repeated_causes,
     stamp_findings,
@@ -13,8 +13,7 @@ from measure.checking.pictures import (
 from measure.checking.search import SearchSample, search_sample, with_velocities
 
 __all__ = [
-    "ColorlessCount", "Coverage", "DuplicateCount", "Finding", "Level",
-    "OverexposedCount", "SearchSample", "coverage_findings", "damage_findings",
-    "expected_accuracy", "repeated_causes", "search_sample", "stamp_findings",
-    "with_velocities", "worst_first",
+    "ColorlessCount", "Coverage", "DuplicateCount", "ExposureCount", "Finding", "Level",
+    "SearchSample", "coverage_findings", "damage_findings", "expected_accuracy", "repeated_causes",
+    "search_sample", "stamp_findings", "with_velocities", "worst_first",
 ]  # fmt: skip

@@ -31,6 +31,7 @@ class Word(StrEnum):
     REPEATED = "repeated-pictures"
     EXPOSURE = "exposure"
     INTERLACED = "interlaced"
+    BLURRED = "blurred"
     ROLLING = "rolling"
     UNKNOWN = "unknown"
 
@@ -56,6 +57,7 @@ TOPICS = {
     Word.REPEATED: "frames",
     Word.EXPOSURE: "exposure",
     Word.INTERLACED: "frames",
+    Word.BLURRED: "frames",
 }
 """Of a finding; "calibration" for all others."""
 

@@ -18,6 +18,8 @@ from measure.checking.finding import Finding, Level
 from measure.checking.search import SearchSample
 from measure.limits import CLEAR_RATIO, GAP_PERIODS, MOST_LISTED
 from measure.measuring.duplicate_images import DuplicateImages
+from measure.measuring.smeared_images import SHARP_CAMERAS, Smear, smear_in
+from measure.measuring.woven_images import woven_cameras
 from measure.model import Detection, FrameSet
 from measure.model.frames import FULL
 from measure.session.timestamps import StampErrors
@@ -294,20 +296,27 @@ def damage_findings(camera: str, frames: Sequence[int], count: int) -> list[Find
 
 _MAX_SATURATED_SHARE = 0.1  # Of a ball's pixels: highlights of lamps and windows have less
 _MIN_FRAME_SHARE = 0.5
+_ROW_STEP, _BRIGHT_QUANTILE, _DARK_LEVEL = 4, 0.999, 75.0
+"""Every so many rows are looked at; what is brightest in them, without single pixels; and the level
+that it reaches in any picture with balls in it: 160 to 240, and 110 in 0.7 times the light."""
 _PIXEL_STEP = 8
 _MAX_CHANNEL_DIFFERENCE = 3
 """Levels between channels of a grey image, by rounding in JPEG; in colour, noise exceeds it."""
 
 
-class OverexposedCount:
-    """Counts overexposed balls."""
+class ExposureCount:
+    """Counts overexposed balls, and dark pictures."""
 
     def __init__(self) -> None:
         self._seen = Counter[tuple[str, str]]()
         self._overexposed = Counter[tuple[str, str]]()
+        self._brightest: dict[str, list[float]] = {}
 
     def add(self, frame_set: FrameSet, balls: Sequence[Detection]) -> None:
-        """Count the balls found in a frame set."""
+        """Count the balls found in a frame set, and look at its pictures."""
+        for name, image in frame_set.images.items():
+            some = np.asarray(image.pixels)[::_ROW_STEP].max(axis=2)
+            self._brightest.setdefault(name, []).append(float(np.quantile(some, _BRIGHT_QUANTILE)))
         for ball in balls:
             key = ball.camera, ball.ball
             full = _saturated(frame_set.images[ball.camera].pixels, ball)
@@ -315,24 +324,30 @@ class OverexposedCount:
             self._overexposed[key] += full.size > 0 and full.mean() > _MAX_SATURATED_SHARE
 
     def causes(self) -> list[Cause]:
-        """Each camera that sees a ball overexposed in half of its images or more."""
+        """Each camera with a ball overexposed in half of its images or more, or dark pictures."""
         bright: dict[str, list[str]] = {}
         for (camera, ball), count in self._overexposed.items():
             if count >= _MIN_FRAME_SHARE * self._seen[camera, ball]:
                 bright.setdefault(camera, []).append(
                     f"{ball} in {count} of {self._seen[camera, ball]}"
                 )
-        return [
-            Cause(
-                Word.EXPOSURE,
-                camera,
-                f"{camera}: balls are overexposed ({', '.join(balls)} pictures): their edges show "
-                "up to half a pixel further out than they are, and lights look like balls",
-                "expose for less time",
-                Level.WEAK,
-            )
-            for camera, balls in bright.items()
+        shifted = "their edges show up to half a pixel further out, and lights look like balls"
+        out = [
+            _exposure(c, f"balls are overexposed ({', '.join(b)} pictures): {shifted}", "less time")
+            for c, b in bright.items()
         ]
+        dark = {c: np.median(levels) for c, levels in self._brightest.items()}
+        dim = "its pictures are dark (99.9 % of pixels are below level {:.0f} of 255)".format
+        return out + [
+            _exposure(c, dim(level), "longer, or add light")
+            for c, level in dark.items()
+            if level < _DARK_LEVEL
+        ]
+
+
+def _exposure(camera: str, text: str, how: str) -> Cause:
+    text = f"{camera}: {text}"
+    return Cause(Word.EXPOSURE, camera, text, f"expose for {how}", Level.WEAK)
 
 
 def _saturated(pixels: Bytes, ball: Detection) -> Bools:
@@ -353,6 +368,23 @@ def woven_causes(names: Sequence[str], count: int) -> list[Cause]:
     cure = "interlaced: switch the camera to progressive pictures, and record again"
     of = ALL if len(names) == count else ", ".join(names)
     return [Cause(Word.INTERLACED, of, text, cure, Level.WRONG)]
+
+
+def smear_causes(smear: Smear | None, count: int) -> list[Cause]:
+    """Cameras, of so many, whose pictures are blurred along one direction."""
+    if smear is None:
+        return []
+    text = f"{smear}, whichever way the balls move (by the widths of their edges)"
+    cure = "fix the cameras to what does not shake, and their focus; expose for less time"
+    sharp = count - len(smear.cameras)
+    level = Level.WRONG if sharp < SHARP_CAMERAS else Level.WEAK
+    of = ", ".join(smear.cameras) if sharp else ALL
+    return [Cause(Word.BLURRED, of, text, cure, level, smear.width_px, None, "px")]
+
+
+def told_causes(doubts: Sequence[str], count: int) -> list[Cause]:
+    """Woven and blurred pictures of which doubts of measurements tell, of so many cameras."""
+    return woven_causes(woven_cameras(doubts), count) + smear_causes(smear_in(doubts), count)
 
 
 class ColorlessCount:

@@ -63,6 +63,7 @@ def calibrated(
     with suppress(MeasureError):
         cameras = with_lateral_color(cameras, frame_sets())
     given, known = pipeline.body, dict[Body, Mapping[str, Detector]]()
+    looked = list[Pipeline]()
 
     def detectors_for(body: Body) -> Mapping[str, Detector]:
         fresh = build(body, cameras)
@@ -72,12 +73,15 @@ def calibrated(
     def growth(body: Body) -> ball_radii.OutlineGrowth:
         known[body] = detectors_for(body)
         again = islice(frame_sets(), _FRAME_SETS_FOR_RADII)
-        measured = _measured(_with(build(body, cameras), known[body]), again)
+        looked.append(_with(build(body, cameras), known[body]))
+        measured = _measured(looked[-1], again)
         return ball_radii.outline_growth(ball_radii.seen_balls(measured), body, cameras)
 
     body, contradict = ball_radii.with_estimated_radii(given, growth)
     detectors = detectors_for(body) if contradict else known[given]
-    return _with(build(body, cameras), detectors, pipeline.stages.smoothing)
+    final = _with(build(body, cameras), detectors, pipeline.stages.smoothing)
+    final.judge_pictures_as(looked[-1])
+    return final
 
 
 def _with(

@@ -63,8 +63,12 @@ class Measurement:
         """The same, saying whose images are left out and why: a pose without them is no worse."""
         said = [f"{copy} shows the pictures of {whose}" for copy, whose in copies.items()]
         said += [f"{name} repeats its last picture" for name in repeated]
-        reason = "; ".join(filter(None, (self.reason, *said)))
-        return replace(self, copies=dict(copies), repeated=tuple(repeated), reason=reason)
+        same = replace(self, copies=dict(copies), repeated=tuple(repeated))
+        return same.noted("; ".join(said))
+
+    def noted(self, text: str) -> Measurement:
+        """The same with one more reason, which leaves its status as it is."""
+        return replace(self, reason="; ".join(filter(None, (self.reason, text))))
 
     def with_tolerance(self, body: Body) -> Measurement:
         """The same, with the body's tolerance added to the pose's covariance: no image shows it."""

@@ -16,8 +16,9 @@ from measure.measuring.body_scale import ScaleMonitor
 from measure.measuring.duplicate_images import DuplicateImages, NewImages
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_surrounding_poses
+from measure.measuring.smeared_images import SmearedImages
 from measure.measuring.time_alignment import FrameSetObservations
-from measure.measuring.woven_images import WovenImages
+from measure.measuring.woven_images import BallSteps, WovenImages
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, FrameSet, Motion, Pose
 from measure.processes import usable_cores
 
@@ -49,9 +50,14 @@ class Pipeline:
         self.body, self.cameras = body, tuple(cameras)
         self._cameras = {camera.name: camera for camera in cameras}
         self._rolling = any(camera.readout_s for camera in cameras)
-        self._duplicates, self._woven = DuplicateImages(), WovenImages()
+        self._duplicates, self._steps = DuplicateImages(), BallSteps()
+        self._woven, self._smeared = WovenImages(), SmearedImages()
         self.stages = stages
         self.others: tuple[Pipeline, ...] = ()
+
+    def judge_pictures_as(self, other: Pipeline) -> None:
+        """Begin with what another one has seen of the cameras' pictures: how they are taken."""
+        self._woven, self._smeared = other._woven, other._smeared
 
     def warm_up(self, backwards: bool = False) -> None:
         """Let every stage compile or load what is slow; of the detectors one, as all share it.
@@ -110,14 +116,19 @@ class Pipeline:
         return self._with_picture_faults(draft, new)
 
     def _with_picture_faults(self, draft: Draft, new: NewImages) -> Draft:
-        """Name cameras that show another one's images; flag what those and woven ones spoil."""
+        """Name cameras whose images are not theirs, woven or blurred; flag what those spoil."""
         pose, duplicates = draft.measurement.pose, self._duplicates
         shared = duplicates.judge(new.shared, () if pose is None else pose.cameras)
         measured = draft.measurement.without_images(duplicates.copies, new.repeated)
         draft = replace(draft, measurement=measured)
         seen = (v.detection for v in draft.measurement.views if v.effective and v.detection)
-        self._woven.add(new.frame_set, seen, look=self._woven.due(draft.measurement.index))
-        for flag in filter(None, (new.flag, shared, self._woven.flag)):
+        steps = self._steps.of(new.frame_set, seen, self._steps.due(draft.measurement.index))
+        self._woven.add(steps)
+        self._smeared.add(steps)
+        smeared, flags = self._smeared.doubt(() if pose is None else pose.cameras)
+        if smeared and not flags:
+            draft = replace(draft, measurement=draft.measurement.noted(smeared))
+        for flag in filter(None, (new.flag, shared, self._woven.flag, smeared if flags else "")):
             draft = draft.flagged(flag)
         return draft
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -29,29 +30,48 @@ _REMEMBERED = 90  # Outlines of a camera
 _FLAG = re.compile(r"pictures of (.+?) are woven of two instants")
 
 
-class WovenImages:
-    """Judges the latest images of each camera by the balls found in them."""
+class BallStep(NamedTuple):
+    """A ball seen in two images of a camera in a row."""
+
+    ball: Detection  # in the second one
+    pixels: Bytes  # of that one
+    step_px: Floats  # (2,)
+
+
+class BallSteps:
+    """Remembers where balls were in the last images."""
 
     def __init__(self) -> None:
         self._last: dict[tuple[str, str], tuple[int, Floats]] = {}
-        self._steps: dict[str, deque[tuple[Floats, Floats]]] = {}
 
     def due(self, index: int) -> bool:
-        """Whether a frame set of this number is worth a look: a camera weaves all its images."""
+        """Whether a frame set of this number is worth a look: what a camera does, it does on."""
         return index < _LATEST or index % _EVERY == 0
 
-    def add(self, frame_set: FrameSet, balls: Iterable[Detection], look: bool = True) -> None:
-        """Take the balls found in a frame set; look at the rows of those seen one image before."""
+    def of(self, frame_set: FrameSet, balls: Iterable[Detection], look: bool) -> list[BallStep]:
+        """Take the balls found in a frame set; of a `look`, those seen one image before, too."""
+        steps = []
         for ball in balls:
             image, key = frame_set.images[ball.camera], (ball.camera, ball.ball)
             frame, center_px = self._last.get(key, (image.frame, ball.center_px))
             self._last[key] = image.frame, ball.center_px
-            step_px = ball.center_px - center_px
-            if not look or image.frame != frame + 1:
-                continue
+            if look and image.frame == frame + 1 and np.ndim(image.pixels) == 3:
+                steps.append(BallStep(ball, image.pixels, ball.center_px - center_px))
+        return steps
+
+
+class WovenImages:
+    """Judges the latest images of each camera by the balls found in them."""
+
+    def __init__(self) -> None:
+        self._steps: dict[str, deque[tuple[Floats, Floats]]] = {}
+
+    def add(self, steps: Iterable[BallStep]) -> None:
+        """Look at the rows of balls that were seen in two images in a row."""
+        for ball, pixels, step_px in steps:
             if np.linalg.norm(step_px) > _LARGEST_STEP * ball.radius_px:
                 continue
-            between_px = _between_fields(image.pixels, ball)
+            between_px = _between_fields(pixels, ball)
             if between_px is not None:
                 latest = self._steps.setdefault(ball.camera, deque(maxlen=_REMEMBERED))
                 latest.append((step_px, between_px))
@@ -95,7 +115,7 @@ def _between_fields(pixels: Bytes, ball: Detection) -> Floats | None:
     (x, y), r = ball.center_px.tolist(), _REACH * ball.radius_px
     top, left = max(round(y - r), 0), max(round(x - r), 0)
     part = np.asarray(pixels)[top : round(y + r) + 1, left : round(x + r) + 1]
-    if part.ndim != 3 or min(part.shape[:2]) < FEWEST:
+    if min(part.shape[:2]) < FEWEST:
         return None
     # Brightness alone: rows share their colour in JPEG and video.
     grey = cv2.cvtColor(part, cv2.COLOR_BGR2GRAY).astype(np.float32)

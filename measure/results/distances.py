@@ -17,13 +17,12 @@ from measure.checking.causes import ALL, Cause, Word, beside, with_weak
 from measure.checking.diagnosis import diagnose
 from measure.checking.evidence import Evidence, Sighting
 from measure.checking.finding import Finding, Level
-from measure.checking.pictures import gaps_alone, repeated_causes, same_pictures_cause, woven_causes
+from measure.checking.pictures import gaps_alone, repeated_causes, same_pictures_cause, told_causes
 from measure.checking.sightings import MOST_INSTANTS
 from measure.geometry import RigidTransform
 from measure.limits import MAX_PAUSE_S
 from measure.measuring.ball_radii import outline_growth
 from measure.measuring.duplicate_images import left_out
-from measure.measuring.woven_images import woven_cameras
 from measure.model import Body, Camera, Detection
 from measure.model.observations import Reason, State
 from measure.results.tables import PLACE, integers, matrices, numbers
@@ -122,7 +121,7 @@ def rig_findings(
     causes = [_told(cause, evidence) for cause in said if evidence]
     reasons = filter(None, pc.unique(poses["reason"]).to_pylist())
     shared, repeated = _duplicates(poses)
-    pictures = [*shared, *woven_causes(woven_cameras(list(reasons)), len(cameras))]
+    pictures = [*shared, *told_causes(list(reasons), len(cameras))]
     if not causes and not pictures:
         causes = _contradicting(body, distances)
     if not causes:

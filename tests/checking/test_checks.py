@@ -8,9 +8,9 @@ import pytest
 
 from measure.checking import (
     ColorlessCount,
+    ExposureCount,
     Finding,
     Level,
-    OverexposedCount,
     coverage_findings,
     expected_accuracy,
     search_sample,
@@ -22,7 +22,8 @@ from measure.checking.pictures import burst_causes, rate_causes, step_causes, wi
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.woven_images import WovenImages, woven_cameras
+from measure.measuring.smeared_images import SmearedImages, smear_in
+from measure.measuring.woven_images import BallSteps, WovenImages, woven_cameras
 from measure.model import Detection, FrameSet, Image
 from tests.scenes import RAVEN, TARGET, moved, ring, see
 
@@ -173,7 +174,7 @@ def test_overexposed_balls_are_told_by_camera():
     cv2.circle(pictures["border"], (0, 60), 12, (30, 30, 255), -1)
     balls = [_ball("full", (80.0, 60), 20.0), _ball("lit", (80.0, 60), 20.0)]
     balls.append(_ball("border", (0.0, 60), 20.0))
-    count = OverexposedCount()
+    count = ExposureCount()
     for _ in range(3):
         count.add(_frame_set(pictures), balls)
     full, border = count.causes()
@@ -182,9 +183,20 @@ def test_overexposed_balls_are_told_by_camera():
     assert border.text.startswith("border: ")
 
 
+@pytest.mark.parametrize(("share", "is_dark"), [(1.0, False), (0.7, False), (0.3, True)])
+def test_dark_pictures_are_named(share: float, is_dark: bool):
+    picture = np.full((120, 160, 3), 36, np.uint8)
+    cv2.circle(picture, (80, 60), 20, (30, 30, 170), -1)
+    count = ExposureCount()
+    for _ in range(3):
+        count.add(_frame_set({"cam0": (share * picture).astype(np.uint8)}), [])
+    causes = count.causes()
+    assert [(cause.cause, cause.of) for cause in causes] == [("exposure", "cam0")] * is_dark
+
+
 def test_occasional_overexposure_is_no_finding():
     dark, bright = (np.full((120, 160, 3), value, np.uint8) for value in (90, 255))
-    count, ball = OverexposedCount(), _ball("cam0", (80.0, 60), 20.0)
+    count, ball = ExposureCount(), _ball("cam0", (80.0, 60), 20.0)
     for picture in (dark, bright, dark):
         count.add(_frame_set({"cam0": picture}), [ball])
     assert count.causes() == []
@@ -251,12 +263,12 @@ def coarse(pixels: np.ndarray, quality: int = 20) -> np.ndarray:
     ],
 )
 def test_rows_of_two_instants_are_told_from_grain(show, is_woven: bool) -> None:
-    images, step_px = WovenImages(), 3.0
+    steps, images, step_px = BallSteps(), WovenImages(), 3.0
     for index in range(15):
         x_px = 60 + step_px * index
         image = Image("cam0", index, index / 30, lambda x=x_px: show(x, step_px))
         ball = Detection("red", "cam0", 0.0, np.array([x_px, 60.0]), 30.0, 0.01 * np.eye(2))
-        images.add(FrameSet(index, index / 30, {"cam0": image}), [ball])
+        images.add(steps.of(FrameSet(index, index / 30, {"cam0": image}), [ball], look=True))
     assert images.cameras == woven_cameras(["", images.flag]) == ["cam0"] * is_woven
 
 
@@ -300,3 +312,49 @@ def test_a_cause_is_a_finding_with_code_subject_and_what_can_be_told_apart():
     assert finding.rivals == rivals
     assert "or cam2 was moved, or the scale of the calibration is off" in finding.text
     assert Finding(Level.NOTE, "frames", "none", camera="cam1").code == "frames"
+
+
+def way(index: float) -> np.ndarray:
+    """Where a ball is in a picture, on its way round."""
+    return np.array([80 + 20 * np.cos(0.3 * index), 60 + 20 * np.sin(0.3 * index)])
+
+
+def ball_on(index: float, kernel: np.ndarray | float = 1.0) -> np.ndarray:
+    pixels = np.full((120, 160, 3), 20, np.uint8)
+    cv2.circle(
+        pixels, tuple(np.rint(16 * way(index)).astype(int).tolist()), 400, (30, 60, 180), -1, 16, 4
+    )
+    soft = cv2.filter2D(cv2.GaussianBlur(pixels, (0, 0), 0.9), -1, np.atleast_2d(kernel))
+    grain = np.random.default_rng(round(8 * index)).normal(0, 4, pixels.shape)
+    return np.clip(soft + grain, 0, 255).astype(np.uint8)
+
+
+def in_motion(index: float) -> np.ndarray:
+    """With the shutter open half of the time."""
+    return np.mean([ball_on(index + k / 16) for k in range(-4, 5)], axis=0).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("show", "width_px", "angle_deg"),
+    [
+        (lambda k: ball_on(k, np.ones((1, 13)) / 13), 13, 0),
+        (lambda k: ball_on(k, np.ones((9, 1)) / 9), 9, 90),
+        (lambda k: ball_on(k, np.eye(7) / 7), 9.9, 45),
+        (lambda k: ball_on(k, np.ones((11, 11)) / 121), None, None),
+        (in_motion, None, None),
+        (ball_on, None, None),
+    ],
+)
+def test_a_blur_along_one_direction_is_told_from_motion_and_focus(show, width_px, angle_deg):
+    steps, images = BallSteps(), SmearedImages()
+    for index in range(14):
+        image = Image("cam0", index, index / 30, lambda k=index: show(k))
+        ball = Detection("red", "cam0", 0.0, way(index), 25.0, 0.01 * np.eye(2))
+        images.add(steps.of(FrameSet(index, index / 30, {"cam0": image}), [ball], look=True))
+    smear = images.smear
+    assert (smear is None) == (width_px is None), smear
+    if smear is not None:
+        assert smear.width_px == pytest.approx(width_px, rel=0.2)
+        assert abs((smear.angle_deg - angle_deg + 90) % 180 - 90) < 5
+        assert smear_in(["", images.doubt({"cam0"})[0]]).cameras == ("cam0",)
+        assert images.doubt({"cam0", "cam1", "cam2"})[1] is False
