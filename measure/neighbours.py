@@ -19,9 +19,10 @@ from measure.errors import ConfigError, PluginError
 
 COMMANDS, DEMO, FORMATS = "measure.commands", "measure.demo", "measure.formats"
 VIEWS, CAMERA_FITS = "measure.views", "measure.camera_fits"
+STREAMS = "measure.streams"
 """Groups of entry points: packages with commands, functions that the demonstration calls, formats
-of other programs, functions that write further recordings of a run for the viewer, and functions
-that fit cameras to what they see of a capture."""
+of other programs, functions that write further recordings of a run for the viewer, functions
+that fit cameras to what they see of a capture, and functions that measure running cameras."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 #
 # This file is a notebook: editors show its cells by the marks `# %%`, and
 # `jupytext --to ipynb measure_and_evaluate.py` converts it. As a script it takes the output folder:
-# `python docs/examples/measure_and_evaluate.py FOLDER`. Everything is called through `measure.api`.
+# `python docs/examples/measure_and_evaluate.py FOLDER`. `measure.api` has every command as a
+# function; `measure.Run` gives poses as arrays.
 
 # %%
 from __future__ import annotations
@@ -13,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
-import pyarrow.csv
-import pyarrow.parquet
 
+import measure
 from measure import api
 from measure.host import Registry
 
@@ -61,21 +61,14 @@ for table in api.evaluation_tables(evaluation):
 # %% [markdown]
 # ## Errors and their stated uncertainty
 #
-# `poses.parquet` has the pose `world_from_body` and its 6x6 covariance (x y z in mm, then the
-# rotation vector in rad) of every frame set. The truth is sampled more densely than the frames, so
-# linear interpolation suffices for the position.
+# `measure.Run` has the pose and its 6x6 covariance (x y z in mm, then the rotation vector in rad)
+# of every frame set. `api.read_trajectory` interpolates the truth at the times of the frame sets.
 
 # %%
-AXES = ("x_mm", "y_mm", "z_mm")
-poses = pyarrow.parquet.read_table(folder / "run" / "poses.parquet")
-truth = pyarrow.csv.read_csv(session / "truth.csv")
-time_s = poses["time_s"].to_numpy()
-measured = np.column_stack([poses[axis].to_numpy() for axis in AXES])
-true_time_s = truth["time_s"].to_numpy()
-true = np.column_stack([np.interp(time_s, true_time_s, truth[axis].to_numpy()) for axis in AXES])
-error_mm = measured - true
-covariance = np.array(poses["covariance"].to_pylist()).reshape(-1, 6, 6)
-sd_mm = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :3])
+run = measure.Run.load(folder / "run")
+truth = api.read_trajectory(session / "truth.csv").at(run.times)
+error_mm = run.position - truth.translation
+sd_mm = np.sqrt(np.diagonal(run.covariance, axis1=1, axis2=2)[:, :3])
 rms_mm = float(np.sqrt(np.mean(np.sum(error_mm**2, axis=1))))
 print(f"\nposition error {rms_mm:.3f} mm RMS in 3-D")
 
@@ -83,7 +76,7 @@ print(f"\nposition error {rms_mm:.3f} mm RMS in 3-D")
 figure = go.Figure()
 for i, axis in enumerate("xyz"):
     error_bars = {"type": "data", "array": 2 * sd_mm[:, i]}
-    figure.add_scatter(x=time_s, y=error_mm[:, i], error_y=error_bars, mode="markers", name=axis)
+    figure.add_scatter(x=run.times, y=error_mm[:, i], error_y=error_bars, mode="markers", name=axis)
 figure.update_layout(
     title="Measured minus true position, with two stated standard deviations",
     xaxis_title="time, s",

@@ -48,7 +48,14 @@ from measure.measuring import Measurement, Pipeline, Profile, relative_measureme
 from measure.model import Body, Camera, Image
 from measure.processes import ProgressClock
 from measure.results.evaluation import evaluation_tables
-from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
+from measure.session import (
+    Calibration,
+    read_body,
+    read_calibration,
+    read_trajectory,
+    write_body,
+    write_calibration,
+)
 
 __all__ = [
     "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "Body", "BodySearch",
@@ -62,7 +69,8 @@ __all__ = [
     "evaluate", "evaluation_tables", "events", "export", "find_body", "find_target", "inside",
     "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "other_board",
     "output", "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
-    "read_body", "read_calibration", "refine", "relative_measurements", "render_demo", "run",
-    "run_in_stretches", "run_many", "sampled_color", "search_bodies", "shipped_targets", "sync",
+    "read_body", "read_calibration", "read_trajectory", "refine", "relative_measurements",
+    "render_demo", "run", "run_in_stretches", "run_many", "sampled_color", "search_bodies",
+    "shipped_targets", "sync",
     "target_sheet", "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

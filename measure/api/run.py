@@ -116,7 +116,7 @@ def opened_run(
     with options.open(session_path) as session:
         total = len(session.pair().times_s)
         options.check_viewer()
-        origin = _made_from(session, profile, registry)
+        origin = made_from(session, profile, registry)
         with _writer(session, out, origin, options) as writer:
             if writer.kept:
                 on_note(f"resumed at frame set {writer.kept} of {total}")
@@ -163,7 +163,8 @@ def provenance(
     )
 
 
-def _made_from(session: Session, profile: Profile, registry: Registry) -> Provenance:
+def made_from(session: Session, profile: Profile, registry: Registry) -> Provenance:
+    """Everything that a run of this session with this profile is made from."""
     causes = stamp_causes({name: stream.times_s for name, stream in session.streams.items()})
     return provenance(
         session.calibration_path,

@@ -38,6 +38,25 @@ class Provenance:
     session_name: str = ""  # what the session is called; empty if not known
     scale_sd: float = 0.0  # of the world: see `Calibration`; the poses' covariances are without it
 
+    @classmethod
+    def of(cls, written: Mapping[str, Any]) -> Provenance:
+        """What an earlier run was made from, by the values of its `run.toml`."""
+        of_session, of_rig, of_body = (
+            written.get(name, {}) for name in ("session", "calibration", "body")
+        )
+        return cls(
+            session=of_session.get("path", ""),
+            session_digest=of_session.get("sha256", ""),
+            calibration=of_rig.get("path", ""),
+            calibration_digest=of_rig.get("sha256", ""),
+            body_digest=of_body.get("sha256", ""),
+            profile=written.get("profile", {}),
+            plugins=written.get("plugins", {}),
+            notes=tuple(of_session.get("notes", ())),
+            session_name=of_session.get("name", ""),
+            scale_sd=of_rig.get("scale_sd", 0.0),
+        )
+
     def values(self) -> dict[str, Any]:
         """As written to `run.toml`."""
         return {

@@ -38,13 +38,14 @@ from measure.session.pictures import (
 from measure.session.robot_base import StatedTransform, read_robot_base
 from measure.session.session import Session, pair_nearest, seldom_paired
 from measure.session.stated_rig import MM_PER, StatedCamera, StatedRig, Unit, stated_model
-from measure.session.streams import Stream
+from measure.session.streams import ArrayStream, Stream
 from measure.session.tracked_body import TrackedBody
 from measure.session.trajectory import Trajectory, read_trajectory
 from measure.session.video_file import open_video_stream
 
 __all__ = [
-    "MM_PER", "Calibration", "FileModel", "Format", "Length", "Name", "Orientation", "PictureTags",
+    "MM_PER", "ArrayStream", "Calibration", "FileModel", "Format", "Length", "Name", "Orientation",
+    "PictureTags",
     "Position", "SafeName", "Session", "StatedCamera", "StatedRig", "StatedTransform", "Stream",
     "TrackedBody", "Trajectory", "Unit", "able", "check_bodies", "check_name", "check_overlap",
     "check_unit", "clock_values", "damaged_frames", "decode_picture", "dump_toml", "format_for",

@@ -88,6 +88,43 @@ class Stream(ABC):
             )
 
 
+class ArrayStream(Stream):
+    """Pictures that are there already, as arrays.
+
+    Args:
+        pictures: n of them, (h, w, 3) uint8, BGR, of one size.
+        times_s: (n,) middles of the exposures, increasing.
+    """
+
+    def __init__(self, name: str, pictures: Sequence[Bytes], times_s: Floats) -> None:
+        self._pictures, times_s = pictures, np.asarray(times_s, dtype=np.float64)
+        if not len(pictures) or times_s.shape != (len(pictures),):
+            raise SessionError(
+                f"camera '{name}': {len(pictures)} pictures and times of shape {times_s.shape}: "
+                "expected one time for each picture"
+            )
+        if not np.all(np.diff(times_s) > 0) or not np.all(np.isfinite(times_s)):
+            raise SessionError(f"camera '{name}': its times must be finite and increase")
+        first = pictures[0]
+        if first.ndim != 3 or first.shape[2] != 3 or first.dtype != np.uint8:
+            raise SessionError(
+                f"camera '{name}': a picture is {first.dtype} of shape {first.shape}: expected "
+                "uint8 of shape (h, w, 3), BGR"
+            )
+        height, width = first.shape[:2]
+        super().__init__(name, "arrays", (width, height), np.arange(len(pictures)), times_s, [])
+
+    def read(self, index: int) -> Image:
+        """The picture at position `index`."""
+        self.check_index(index)
+        pixels = self._pictures[index]
+        if pixels.shape != (*self.size_wh[::-1], 3) or pixels.dtype != np.uint8:
+            raise SessionError(
+                f"{self.place(index)} is {pixels.dtype} of shape {pixels.shape}, unlike the first"
+            )
+        return self._image(index, lambda: pixels, None)
+
+
 def turned_notes(name: str, turned: bool) -> tuple[str, ...]:
     """What to say of a camera whose pictures bear a tag that asks to turn them, if they do."""
     text = (

@@ -255,7 +255,8 @@ READS = {
     "parse_cameras",
     "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
     "parse_size", "play", "play_cameras", "profile_names", "read_board", "read_body",
-    "read_calibration", "register", "relative_measurements", "rests", "sampled_color",
+    "read_calibration", "read_trajectory", "register", "relative_measurements", "rests",
+    "sampled_color",
     "search_bodies", "shipped_model", "shipped_targets", "target_sheet", "usb_notes", "web_viewer",
 }  # fmt: skip
 
