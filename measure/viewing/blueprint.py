@@ -39,8 +39,8 @@ def run_blueprint(
     traces = rrb.Horizontal(
         rrb.Tabs(
             *([plot("Error [mm]", "plots/error_mm")] if truth else []),
-            plot("Position [mm]", "plots/position_mm"),
-            plot("Rotation [deg]", "plots/rotation_deg"),
+            _by_axis("Position [mm]", "plots/position_mm"),
+            _by_axis("Rotation [deg]", "plots/rotation_deg"),
         ),
         plot("Position SD [mm]", "plots/position_sd_mm"),
         plot("Residual [px]", "plots/residual_px"),
@@ -79,6 +79,20 @@ def up_to_cursor() -> rrb.VisibleTimeRanges:
 def plot(name: str, origin: str) -> rrb.TimeSeriesView:
     """A plot of all traces below an entity."""
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=LEGEND)
+
+
+def _by_axis(name: str, origin: str) -> rrb.Vertical:
+    """Plots of x, y and z, each with a scale of its own."""
+    plots = (
+        rrb.TimeSeriesView(
+            origin=origin,
+            name=axis,
+            contents=[f"$origin/{axis}/**"],
+            plot_legend=rrb.PlotLegend(visible=False),
+        )
+        for axis in "xyz"
+    )
+    return rrb.Vertical(*plots, name=name)
 
 
 def _picture(camera: Camera) -> rrb.Spatial2DView:

@@ -162,6 +162,7 @@ class RunRecording:
         self._sets: list[Sequence[Measurement]] = []
         self._first = dict[str, Rotation]()
         self._pictured: list[bool] = []
+        self._has_pictures = False  # The first frame set has them, or none
         scene.log_rig(stream, bodies, cameras)
         for name, video in self._videos.items():
             stream.log(entities.image(name), video.asset, static=True)
@@ -188,6 +189,7 @@ class RunRecording:
         pictured = bool(frame_set and self._image_every and not index % self._image_every)
         if frame_set is not None and pictured:
             self._log_images(measured[0], frame_set)
+            self._has_pictures = True
         for one, (_, end) in zip(measured, self._bodies, strict=True):
             self._log_status(one, entities.STATUS + end)
         self._sets.append(measured)
@@ -209,7 +211,7 @@ class RunRecording:
             columns = FrameSetBatch(self._stream, [one.index for one in sets], times_s, end)
             scene.send_balls(columns, sets, body, cameras)
             scene.send_poses(columns, sets, self._first)
-            scene.send_views(columns, sets, pictured, body, cameras)
+            scene.send_views(columns, sets, pictured, body, cameras, self._has_pictures)
             scene.send_traces(columns, sets, cameras)
             if body.name in self._truths:
                 scene.send_errors(columns, sets, self._truths[body.name])

@@ -182,7 +182,7 @@ def _log_camera(stream: entities.Stream, camera: Camera) -> None:
             image_from_camera=lens.matrix,
             resolution=lens.size_wh,
             camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=90.0,
+            image_plane_distance=60.0,
         ),
         static=True,
     )
@@ -211,7 +211,7 @@ def _log_body(stream: entities.Stream, body: Body, end: str) -> None:
         stream.log(entities.rays(ball.name) + end, rays, static=True)
     trail = rr.Points3D.from_fields(colors=[(120, 200, 255)], radii=[0.6])
     stream.log(entities.TRAIL + end, trail, static=True)
-    haze = rr.Ellipsoids3D.from_fields(colors=[(255, 120, 220)], fill_mode="majorwireframe")
+    haze = rr.Ellipsoids3D.from_fields(colors=[(255, 60, 200)], fill_mode="densewireframe")
     stream.log(entities.UNCERTAINTY + end, haze, static=True)
 
 
@@ -233,19 +233,25 @@ def send_views(
     pictured: Bools,
     body: Body,
     cameras: Sequence[Camera],
+    has_pictures: bool,
 ) -> None:
-    """Centres of what was found, or why a ball is not used; outlines where `pictured` (n,)."""
-    for camera in cameras:
+    """Centres of what was found, or why a ball is not used; outlines where `pictured` (n,).
+
+    Where the recording has pictures, centres stand in those frame sets alone: in a picture of
+    another instant they would lie beside the balls.
+    """
+    rows = pictured if has_pictures else np.ones(len(sets), dtype=bool)
+    sets = [one for one, is_marked in zip(sets, rows, strict=True) if is_marked]
+    for camera in cameras if sets else ():
         mine = [[view for view in one.views if view.camera == camera.name] for one in sets]
         seen = [[view for view in row if view.detection is not None] for row in mine]
         found = [view for row in seen for view in row]
         places = points((_detection(view).center_px for view in found), 2)
         centers = rr.Points2D.columns(positions=places, colors=_colors(found))
-        columns.send(entities.centers(camera.name), centers.partition(lengths(seen)))
-        _send_suspended(columns, sets, mine, body, camera)
-        if pictured.any():
-            kept = [row for row, shown in zip(seen, pictured, strict=True) if shown]
-            _send_outlines(columns, kept, pictured, camera.name)
+        columns.send(entities.centers(camera.name), centers.partition(lengths(seen)), rows=rows)
+        _send_suspended(columns, sets, mine, rows, body, camera)
+        if has_pictures:
+            _send_outlines(columns, seen, rows, camera.name)
 
 
 def _send_outlines(
@@ -270,6 +276,7 @@ def _send_suspended(
     columns: FrameSetBatch,
     sets: Sequence[Measurement],
     views: Sequence[Sequence[BallView]],
+    rows: Bools,
     body: Body,
     camera: Camera,
 ) -> None:
@@ -287,9 +294,9 @@ def _send_suspended(
         colors=_colors(shown),
         labels=[f"{view.ball}: {view.reason}" for view in shown],
     )
-    rows = np.array([at for at, _ in idle], dtype=np.int64)[inside]
-    counts = np.bincount(rows, minlength=len(sets))
-    columns.send(entities.suspended(camera.name), marks.partition(counts))
+    of = np.array([at for at, _ in idle], dtype=np.int64)[inside]
+    counts = np.bincount(of, minlength=len(sets))
+    columns.send(entities.suspended(camera.name), marks.partition(counts), rows=rows)
 
 
 def _expected(wanted: Sequence[tuple[Pose | None, str]], body: Body, camera: Camera) -> Floats:

@@ -20,7 +20,7 @@ from measurements import BODY, CAMERAS, measurement
 
 from measure.errors import ConfigError, RunError
 from measure.geometry import RigidTransform
-from measure.model import Image
+from measure.model import FrameSet, Image
 from measure.model.observations import BallView, Reason, State
 from measure.session import Trajectory
 from measure.viewing import entities, feed, recording, state_colors, viewer
@@ -50,6 +50,28 @@ def test_the_first_plot_shows_errors_only_where_there_is_a_truth(truth):
     layout = run_blueprint(CAMERAS, truth=truth).root_container
     first = [view.name for view in layout.contents[1].contents[0].contents]
     assert first == [*(["Error [mm]"] if truth else []), "Position [mm]", "Rotation [deg]"]
+
+
+def test_marks_stand_where_there_is_a_picture_of_their_instant(tmp_path):
+    """Without any pictures they stand in every frame set."""
+    pixels = np.zeros((8, 8, 3), np.uint8)
+    for every, marked in ((3, [0, 3, 6]), (0, [*range(8)])):
+        path = tmp_path / f"{every}.rrd"
+        stream = open_recording("test", CAMERAS, path)
+        with RunRecording(stream, [BODY], CAMERAS, every) as run:
+            for index in range(8):
+                images = {c.name: Image(c.name, index, index / 30, lambda: pixels) for c in CAMERAS}
+                run.add([measurement(index)], FrameSet(index, index / 30, images))
+        stored = read_recording(path)
+        for entity in (entities.centers("cam0"), entities.suspended("cam0")):
+            assert [*column(stored[entity], "Points2D:positions")] == marked
+        assert [*column(stored[entities.position("x")], "Scalars:scalars")] == [*range(8)]
+
+
+def test_coordinates_have_plots_of_their_own():
+    layout = run_blueprint(CAMERAS).root_container
+    for plots in layout.contents[1].contents[0].contents:
+        assert [view.name for view in plots.contents] == ["x", "y", "z"]
 
 
 def test_a_preview_shows_five_pictures_a_second_of_each_camera(tmp_path, monkeypatch):
