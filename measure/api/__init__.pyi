@@ -36,10 +36,11 @@ from measure.api.spreading import Workers
 from measure.api.stretches import run_in_stretches
 from measure.api.synchronising import SyncedClock, sync
 from measure.calibration import Board, BoardWave, Corners, Verdict, WaveState, read_board
-from measure.calibration.boards import MirroredBoardError
+from measure.calibration.boards import Charuco, Chessboard, MirroredBoardError
 from measure.calibration.other_boards import OtherBoard, other_board
 from measure.calibration.printing import Sheet, target_sheet
 from measure.checking.causes import Cause
+from measure.checking.finding import Finding, Level
 from measure.checking.unknown_body import search_bodies
 from measure.checking.watching import RigWatch
 from measure.geometry import RigidTransform
@@ -59,18 +60,18 @@ from measure.session import (
 
 __all__ = [
     "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "Body", "BodySearch",
-    "Calibration", "CalibrationResult", "Camera", "Cause", "Corners", "Demo", "FocalFrom",
-    "FoundBody", "Image", "Lens", "Mark", "MarkKind", "Marking", "Measurement",
-    "MirroredBoardError", "OtherBoard", "Outcome", "Pipeline", "Profile", "ProgressClock",
-    "RefineResult", "Registry", "RigWatch", "RigidTransform", "RunOptions", "Samples",
-    "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "Workers",
-    "begin_marks", "board_frame", "board_length", "body_names", "build_pipeline", "calibrate",
-    "calibrate_to", "check", "choose", "demo", "detect", "draw", "draw_target", "drawings",
-    "evaluate", "evaluation_tables", "events", "export", "find_body", "find_target", "inside",
-    "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder", "other_board",
-    "output", "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
-    "read_body", "read_calibration", "read_trajectory", "refine", "relative_measurements",
-    "render_demo", "run", "run_in_stretches", "run_many", "sampled_color", "search_bodies",
-    "shipped_targets", "sync",
-    "target_sheet", "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
+    "Calibration", "CalibrationResult", "Camera", "Cause", "Charuco", "Chessboard", "Corners",
+    "Demo", "Finding", "FocalFrom", "FoundBody", "Image", "Lens", "Level", "Mark", "MarkKind",
+    "Marking", "Measurement", "MirroredBoardError", "OtherBoard", "Outcome", "Pipeline", "Profile",
+    "ProgressClock", "RefineResult", "Registry", "RigWatch", "RigidTransform", "RunOptions",
+    "Samples", "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState",
+    "Workers", "begin_marks", "board_frame", "board_length", "body_names", "build_pipeline",
+    "calibrate", "calibrate_to", "check", "choose", "demo", "detect", "draw", "draw_target",
+    "drawings", "evaluate", "evaluation_tables", "events", "export", "find_body", "find_target",
+    "inside", "load_profile", "mark_event", "measure_bodies", "measure_session", "new_folder",
+    "other_board", "output", "parse_click", "parse_expectation", "parse_images", "profile_names",
+    "read_board", "read_body", "read_calibration", "read_trajectory", "refine",
+    "relative_measurements", "render_demo", "run", "run_in_stretches", "run_many", "sampled_color",
+    "search_bodies", "shipped_targets", "sync", "target_sheet", "write_body", "write_calibration",
+    "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

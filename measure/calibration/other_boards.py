@@ -43,6 +43,7 @@ _OFF_GRID = 0.1  # Share of a grid's step by which a lens, at most, displaces ma
 _SEARCH_SIDE_PX = 640
 _LARGE, _SMALL = (5, 4), (3, 3)
 """Least numbers of inner corners with which a chessboard of unknown size is looked for."""
+_ORDINARY_SQUARE_MM = 25.0
 _GAP_OFF = 0.05  # Relative difference of gaps between tags that no print has
 
 
@@ -52,7 +53,7 @@ class OtherBoard:
 
     seen: str  # what is seen, and what was chosen: "9x6 squares seen, 10x7 chosen"
     remedy: str = ""  # what the chosen board's file must say to be it
-    board: Charuco | None = None  # the seen one, as large as the chosen one
+    board: Charuco | Chessboard | None = None  # the seen one, its squares as large as the chosen's
 
     @property
     def text(self) -> str:
@@ -184,12 +185,14 @@ def _other_charuco(chosen: Board, seen: _Markers, grays: Sequence[Bytes]) -> Oth
             f"{numbers[-1]}, but no {chosen.title}: count again"
         )
     (columns, rows), legacy, first = found
-    plain = Charuco((7, 4), 1.0, 0.7) if not isinstance(chosen, Charuco) else chosen
+    side_mm = _side_mm(chosen)
+    plain = chosen if isinstance(chosen, Charuco) else Charuco((7, 4), side_mm, 0.7 * side_mm)
     tried = replace(plain, inner_corners=(columns - 1, rows - 1), dictionary=dictionary)
     tried = replace(tried, inverted=seen.inverted, first_marker=first)
     tried = replace(tried, legacy=legacy if rows % 2 == 0 else plain.legacy)
     if not isinstance(chosen, Charuco):
-        return OtherBoard(f"a {tried.title} ({dictionary}) seen, a {chosen.title} chosen")
+        words = f"a {tried.title} ({dictionary}) seen, a {chosen.title} chosen"
+        return OtherBoard(words, board=tried)
     if not any(_is_seen(tried, gray) for gray in grays):
         tried = replace(tried, legacy=chosen.legacy)
     remedy = _difference(chosen, tried)
@@ -266,14 +269,21 @@ def _other_chessboard(
         return None
     counts = max(found, key=lambda one: one[0] * one[1])
     if not isinstance(chosen, Chessboard):
-        return OtherBoard(f"a {Chessboard(counts, 1.0).title} seen, a {chosen.title} chosen")
+        seen = Chessboard(counts, _side_mm(chosen))
+        return OtherBoard(f"a {seen.title} seen, a {chosen.title} chosen", board=seen)
     stated = chosen.inner_corners
     counts = counts if (stated[0] >= stated[1]) == (counts[0] >= counts[1]) else counts[::-1]
     if counts == stated:
         return None
     squares = [count + 1 for count in (*counts, *stated)]
     remedy = f"write inner_corners = {list(counts)}"
-    return OtherBoard("{}x{} squares seen, {}x{} chosen".format(*squares), remedy)
+    seen = Chessboard(counts, chosen.square_mm)
+    return OtherBoard("{}x{} squares seen, {}x{} chosen".format(*squares), remedy, seen)
+
+
+def _side_mm(board: Board) -> float:
+    """The side of a board's squares; that of an ordinary one, where it has none."""
+    return board.square_mm if isinstance(board, Charuco | Chessboard) else _ORDINARY_SQUARE_MM
 
 
 def _chessboard_corners(gray: Bytes, least: tuple[int, int]) -> tuple[int, int] | None:

@@ -118,7 +118,7 @@ def _views(
         return capture, find_views(board, capture.views(camera), camera.name, limit)
     except NoBoardError as problem:
         seen = problem.other.board if problem.other else None
-        if not (first and seen is not None and isinstance(board, Charuco)):
+        if not (first and isinstance(seen, Charuco) and isinstance(board, Charuco)):
             raise
         if replace(seen, first_marker=board.first_marker) != board:
             raise

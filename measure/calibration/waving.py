@@ -15,7 +15,7 @@ from measure.calibration.boards import Board, Corners
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.findings import workspace_of
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.other_boards import other_board
+from measure.calibration.other_boards import OtherBoard, other_board
 from measure.calibration.views import ALL_VIEWS, BLURRED_SHARE, MIN_VIEWS, choose_views, outline
 from measure.errors import CalibrationError, DegenerateGeometryError
 from measure.estimation.expected_accuracy import body_pose_sd
@@ -69,6 +69,7 @@ class WaveState:
     position_sd_mm: float
     goal_mm: float
     advice: tuple[str, ...]  # what to do next, the most useful first; none when it is enough
+    other: OtherBoard | None = None  # the board that is seen instead of the chosen one
 
     @property
     def accurate(self) -> bool:
@@ -110,7 +111,7 @@ class BoardWave:
     _look_s: tuple[float, float] = (np.nan, np.nan)  # When it was looked last, and before
     _problem: str = ""  # Why the views do not fit each other
     _unseen_looks: int = 0  # Since the beginning or the last one at which a camera saw the board
-    _other: str = ""  # What is seen instead
+    _other: OtherBoard | None = None  # What is seen instead
 
     def add(
         self,
@@ -138,7 +139,7 @@ class BoardWave:
         self._look_s = max(times_s.values(), default=np.nan), self._look_s[0]
         far = [name for name, view in views.items() if self._pitch_px(view) < _FAR_PX]
         if views or mirrored:
-            self._unseen_looks, self._other = 0, ""
+            self._unseen_looks, self._other = 0, None
         else:
             self._unseen_looks += bool(times_s)
         self._now = dict.fromkeys(views, Now.SEEN)
@@ -176,8 +177,7 @@ class BoardWave:
         It takes a second or two, and so looks at one of them, at another one each time.
         """
         turn = (self._unseen_looks // _CLOSER_LOOKS).bit_length() - 1
-        other = other_board(self.board, [grays[turn % len(grays)]])
-        self._other = other.text if other else ""
+        self._other = other_board(self.board, [grays[turn % len(grays)]])
 
     def state(self) -> WaveState:
         """How far it is."""
@@ -188,14 +188,14 @@ class BoardWave:
         }
         lacks = [*_advice(cameras), *_unconnected(list(cameras), pairs)]
         if not (lacks or self._sd_mm <= self.goal_mm):
-            lacks = [self._problem or "every camera: other places, other tilts"]
+            lacks = [self._problem or "every camera: show the board in other places and tilts"]
         if self._other:
-            lacks.insert(0, self._other)
+            lacks.insert(0, self._other.text)
         elif self._unseen_looks >= _UNSEEN_LOOKS:
             lacks.insert(0, f"no {self.board.title} is found: is it this one? Show all of it")
         period_s = self._look_s[0] - self._look_s[1]
         advice = (*_at_once(cameras, period_s), *lacks) if lacks else ()
-        return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, advice)
+        return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, advice, self._other)
 
     def _slip_px(self, name: str, at: Floats, times_s: Mapping[str, float]) -> float:
         """How far the board moved in this camera while the instant lasted."""
@@ -316,15 +316,15 @@ def _advice(cameras: Mapping[str, CameraWave]) -> list[str]:
     for name, seen in sorted(cameras.items(), key=lambda item: item[1].views):
         row, column = np.unravel_index(int(np.argmin(seen.cells)), seen.cells.shape)
         if not seen.views:
-            out += [f"{name}: show it the board"] if seen.now is Now.NOTHING else []
+            out += [f"{name}: show the board to this camera"] if seen.now is Now.NOTHING else []
         elif not seen.cells[row, column]:
-            out.append(f"{name}: {_ROWS[row]} {_COLUMNS[column]}")
+            out.append(f"{name}: show the board at the {_ROWS[row]} {_COLUMNS[column]}")
         elif seen.tilts < _TILTS:
-            out.append(f"{name}: tilt more")
+            out.append(f"{name}: tilt the board more")
         elif seen.distances < _DISTANCES:
-            out.append(f"{name}: nearer and farther")
+            out.append(f"{name}: hold the board nearer and farther away")
         elif seen.views < _FEWEST:
-            out.append(f"{name}: more views")
+            out.append(f"{name}: show the board in more places")
     return out
 
 
@@ -335,7 +335,7 @@ def _unconnected(names: Sequence[str], pairs: Mapping[tuple[str, str], int]) -> 
         bridges = [pair for pair in pairs if len(reached & {*pair}) == 1]
         best = max(bridges, key=lambda pair: pairs[pair])
         if pairs[best] < _COMMON:
-            out.append(f"{' and '.join(best)}: show it to both at once")
+            out.append(f"{' and '.join(best)}: show the board to both at once")
         reached |= {*best}
         waiting -= reached
     return out

@@ -106,6 +106,8 @@ def test_another_board_than_the_chosen_one_is_named() -> None:
         other = other_board(chosen, [picture])
         assert other is not None
         assert other.text.startswith(f"this is another board: {said}")
+        if other.board is not None:  # It is the one to take
+            assert other.board.find(picture) is not None
     assert other_board(TRUE, [np.full((200, 300), 200, np.uint8)]) is None
 
 

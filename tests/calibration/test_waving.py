@@ -42,7 +42,10 @@ def at_once(views, time_s):
 def test_it_stops_asking_when_it_is_good_enough(rng):
     """And asks for everything before, in an order that can be followed."""
     wave, asked = wave_of(), []
-    assert wave.state().advice[:2] == ("cam0: show it the board", "cam1: show it the board")
+    assert wave.state().advice[:2] == (
+        "cam0: show the board to this camera",
+        "cam1: show the board to this camera",
+    )
     assert not wave.state().enough
     for time_s in np.arange(0.0, 120.0, 0.5):
         views = seen(time_s, rng)
@@ -54,7 +57,7 @@ def test_it_stops_asking_when_it_is_good_enough(rng):
     assert state.enough
     assert state.position_sd_mm <= 1.0
     told = {words.split(": ")[1] for words in asked}
-    assert "show it to both at once" in told
+    assert "show the board to both at once" in told
     assert any("left" in words or "right" in words for words in told)
     assert len(wave.kept) < 60
     assert all(one.views >= 8 and one.tilts >= 4 for one in state.cameras.values())
@@ -79,7 +82,7 @@ def test_a_board_that_is_never_tilted_is_to_be_tilted(rng):
         )
         ids = np.flatnonzero(camera.intrinsics.contains(at))
         wave.add({"cam0": Corners(ids, at[ids], 0.4)}, {"cam0": float(number)})
-    assert "cam0: tilt more" in wave.state().advice
+    assert "cam0: tilt the board more" in wave.state().advice
 
 
 def test_what_lacks_nothing_but_precision_is_not_called_enough(rng):
@@ -167,7 +170,7 @@ def test_a_slow_computer_takes_a_board_that_rests(rng):
         "seen in cam0 and cam1: hold it still",
         "this computer looks every 1.5 s: hold it still for so long",
     )
-    assert not any("show it the board" in words for words in advice)
+    assert not any("show the board to this camera" in words for words in advice)
     assert look(4.0, 3.0)
     assert "hold it still" not in " ".join(wave.state().advice)
 
@@ -186,7 +189,7 @@ def test_advice_says_what_was_seen(rng):
     wave.add({}, at_once(NAMES, 0.0), ["cam0"])
     assert wave.state().advice[:2] == (
         "mirrored picture: switch off mirror mode in cam0",
-        "cam1: show it the board",
+        "cam1: show the board to this camera",
     )
     far = {n: replace(v, pixels=v.pixels * 0.2 + 100) for n, v in seen(1.0, rng).items()}
     assert wave.add(far, at_once(NAMES, 1.0))
@@ -272,6 +275,7 @@ def test_another_board_than_the_chosen_one_is_said():
     wave.look_closer([picture])
     said = "this is another board: 10x7 squares seen, 9x6 chosen"
     assert wave.state().advice[0] == said
+    assert wave.state().other.board.squares == (10, 7)
     wave.look_closer([np.full((200, 300), 200, np.uint8)])
     assert said not in wave.state().advice
 
