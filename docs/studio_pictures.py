@@ -76,7 +76,7 @@ def _calibrate(page: Chromium, scratch: Path, folder: Path | None) -> None:
         _take(page, "calibrated", folder)
         new.serve(cameras, {n: new.at_rest(some[0], rng) for n, some in pictures.items()})
         go(page, address + "world")
-        press(page, "the world is where")
+        press(page, "set the origin")
         page.wait_for("document.querySelectorAll('.over path.axis.z').length >= 4", 30)
         _take(page, "world", folder)
 

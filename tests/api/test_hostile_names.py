@@ -242,9 +242,10 @@ WRITES: dict[str, Callable[[Place], Any]] = {
 }
 """What is written of a stranger's cameras, bodies and balls; some give it to who writes it."""
 NAMELESS = {
-    "ablate", "correct_simulated_robot", "demo", "demo_cameras", "estimate_file",
-    "estimate_online", "new_folder", "output", "render_demo", "rezero", "simulate_dataset",
-    "simulate_recording", "sweep", "train", "write_measured_board",
+    "ablate", "correct_simulated_robot", "delete_recording", "demo", "demo_cameras",
+    "estimate_file", "estimate_online", "new_folder", "output", "render_demo", "rezero",
+    "simulate_dataset", "simulate_recording", "sweep", "train", "write_board",
+    "write_measured_board",
 }  # fmt: skip
 """What writes, but reads no camera, body or ball of a file."""
 READS = {
@@ -252,6 +253,7 @@ READS = {
     "camera_names", "cameras", "check", "choose", "compare", "contents_of", "described", "detect",
     "drawings", "evaluate", "evaluation_tables", "events", "find_target", "inside",
     "load_profile", "measure_bodies", "measure_session", "model_file", "next_free", "other_board",
+    "own_board", "recordings_in", "trail_of",
     "parse_cameras",
     "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
     "parse_size", "play", "play_cameras", "profile_names", "read_board", "read_body",

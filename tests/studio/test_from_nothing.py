@@ -159,7 +159,7 @@ def put_the_world_at_the_board(page, waits):
     """It is at rest by now, where both cameras see it."""
     page.wait_for("document.body.innerText.includes('The board is seen')", 30)
     assert page.evaluate(f"!{desk.is_done('World')}")
-    desk.press(page, "the world is where")
+    desk.press(page, "set the origin")
     waits.note(page, "world", desk.is_done("World"), 30)
     page.wait_for("document.querySelectorAll('.over path.axis.z').length >= 2", 20)
 

@@ -25,8 +25,16 @@ from measure_studio.api.recording import (
     record,
     usb_notes,
 )
+from measure_studio.api.recordings import Recording, delete_recording, recordings_in, trail_of
 from measure_studio.api.rendered_cameras import DEMO_BOARDS, demo_cameras
-from measure_studio.api.rig_folder import COLORS, contents_of, described, next_free
+from measure_studio.api.rig_folder import (
+    COLORS,
+    contents_of,
+    described,
+    next_free,
+    own_board,
+    write_board,
+)
 from measure_studio.capture import (
     CameraAddress,
     CameraCount,
@@ -41,8 +49,9 @@ __all__ = [
     "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "TYPED", "BallColors", "BallWatch", "CameraAddress",
     "CameraCount", "CameraNow", "CaptureOptions", "CaptureRequest", "Control", "DeviceControls",
     "FoundCamera", "LiveEnd", "LiveOptions", "LiveState", "Mode", "Pace", "PictureFacts", "PlayEnd",
-    "PlayOptions", "Preview", "RecordedSession", "WatchedCamera", "camera_line", "camera_names",
-    "cameras", "capture_board", "contents_of", "demo_cameras", "described", "live", "next_free",
-    "parse_cameras", "parse_controls", "parse_size", "play", "play_cameras", "record", "usb_notes",
-    "web_viewer",
+    "PlayOptions", "Preview", "RecordedSession", "Recording", "WatchedCamera", "camera_line",
+    "camera_names", "cameras", "capture_board", "contents_of", "delete_recording", "demo_cameras",
+    "described", "live", "next_free", "own_board", "parse_cameras", "parse_controls", "parse_size",
+    "play", "play_cameras", "record", "recordings_in", "trail_of", "usb_notes", "web_viewer",
+    "write_board",
 ]  # fmt: skip

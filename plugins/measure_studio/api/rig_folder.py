@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from measure import api
 from measure.errors import ConfigError, MeasureError
 from measure.reading import parse_toml, read_text
+from measure.session import dump_toml
 
+_DICTIONARIES, _MARKER_SHARE = (50, 100, 250, 1000), 0.75
+"""Markers that OpenCV's dictionaries of 4x4 hold, and their side over that of a square."""
 COLORS = "colours.toml"  # In the folder: colours that were learnt, and no measured body
 
 
@@ -57,6 +62,39 @@ def described(file: Path, folder: Path) -> str:
     if (file.parent / "session.toml").is_file():
         words.append("a copy")
     return " · ".join(words)
+
+
+def write_board(folder: Path, board: api.Board, name: str) -> Path:
+    """Write a chessboard or a ChArUco board as a target file; ConfigError for one that is none."""
+    if not isinstance(board, api.Charuco | api.Chessboard):
+        raise ConfigError(f"{board.title}: only chessboards and ChArUco boards can be written here")
+    given = {key: getattr(board, key) for key in board.__dataclass_fields__}
+    kind = "charuco" if isinstance(board, api.Charuco) else "chessboard"
+    squares = [count + 1 for count in board.inner_corners]
+    title = f"{kind} of {squares[0]}x{squares[1]} squares, {board.square_mm:g} mm"
+    kept = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
+    file = folder / f"{name}.toml"
+    before = file.read_bytes() if file.is_file() else None
+    file.write_text(dump_toml({"kind": kind, "name": title, **kept}), "utf-8")
+    try:
+        api.read_board(file)
+    except MeasureError:
+        file.unlink()
+        if before is not None:
+            file.write_bytes(before)
+        raise
+    return file
+
+
+def own_board(kind: str, columns: int, rows: int, square_mm: float) -> api.Board:
+    """A board of so many squares; a ChArUco has markers of the smallest dictionary with enough."""
+    if min(columns, rows) < 3 or not 0 < square_mm < math.inf:
+        raise ConfigError("a board has 3 squares or more along each side, and they have a size")
+    corners = columns - 1, rows - 1
+    if kind == "chessboard":
+        return api.Chessboard(corners, square_mm)
+    held = next((size for size in _DICTIONARIES if size >= columns * rows // 2), _DICTIONARIES[-1])
+    return api.Charuco(corners, square_mm, _MARKER_SHARE * square_mm, f"DICT_4X4_{held}")
 
 
 def next_free(folder: Path, stem: str, suffix: str = "") -> str:

@@ -11,8 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from measure import api
 from measure.errors import ConfigError, MeasureError
 from measure_studio import api as studio_api
@@ -100,6 +98,11 @@ class Job:
         finally:
             self.ended_s = time.monotonic()
             self._on_end(self)
+
+
+def before_of(file: Path) -> Path:
+    """Where the version before of a file is kept."""
+    return file.with_name(f"{file.name}.before")
 
 
 class Bench:
@@ -381,10 +384,30 @@ class Bench:
     ) -> str:
         """The same as part of a job."""
         job.title, out = f"calibrating by {capture.name}", self.folder / CALIBRATION
+        before = out.read_bytes() if out.is_file() else None
         found = api.calibrate_to(out, capture, body=body, progress=job.progress, overwrite=True)
+        self.keep(out, before)
         hear(*found)
-        error_mm = float(np.sqrt(np.mean(found[0].verdict.position_sd_mm ** 2)))
-        return f"{capture.name} gave {CALIBRATION}: expected error at the body {error_mm:.3f} mm"
+        return f"{capture.name} gave {CALIBRATION}"
+
+    def keep(self, file: Path, before: bytes | None) -> None:
+        """Keep what a file held before, if it was there; `take_back` brings it back."""
+        kept = before_of(file)
+        if before is None:
+            kept.unlink(missing_ok=True)
+        else:
+            kept.write_bytes(before)
+
+    def take_back(self, file: Path) -> str:
+        """Exchange a file for what it held before; ConfigError if nothing is kept of it."""
+        self.refuse_if_busy()
+        kept = before_of(file)
+        if not kept.is_file():
+            raise ConfigError(f"no other version of {file.name} is kept")
+        now = file.read_bytes()
+        file.write_bytes(kept.read_bytes())
+        kept.write_bytes(now)
+        return f"{file.name} is as it was before; once more takes this back"
 
     def stop(self) -> None:
         """End what goes on, as an interrupt would, and forget what waits."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from nicegui import ui
@@ -11,7 +12,7 @@ from measure.errors import MeasureError
 from measure_studio import api as studio_api
 from measure_studio.page import drawings
 from measure_studio.page.bench import BOARD, Bench
-from measure_studio.page.layout import act, link, tried
+from measure_studio.page.layout import act, button, details, link, put, tried
 
 _WHY = (
     "The ChArUco board is the fastest and the safest: parts of it count, so that corners of "
@@ -22,20 +23,92 @@ _WHY = (
 def choose_board(bench: Bench) -> None:
     """The choice of a board, its drawing, and how long it is on paper."""
     printed: list[Path] = []
+    shown = bench.board
 
     def draw() -> None:
         out = bench.folder / f"{bench.target().stem}.pdf"
         printed[:] = [api.draw_target(bench.target(), out, overwrite=True)[1]]
 
+    @ui.refreshable
+    def offered() -> None:
+        for name in _names(bench):
+            _tile(bench, name, choose)
+
+    def choose(name: str) -> None:
+        bench.board = name
+        offered.refresh()
+        length.refresh()
+
+    def wait_for_other() -> None:
+        nonlocal shown
+        if bench.board != shown:  # Chosen elsewhere, as by what was seen
+            shown = bench.board
+            choose(shown)
+
+    with ui.row().classes("boards").props('role="radiogroup" aria-label="Board"'):
+        offered()
     with ui.row().classes("line board"):
         with ui.column().classes("choice"):
             with ui.row().classes("line"):
-                board = ui.select(_names(bench), label="Board").classes("field")
-                board.bind_value(bench, "board")
                 act("Draw it", "print", draw)
                 link("PDF, to print at 100 %", bench, lambda: next(iter(printed), None))
             ui.label(_WHY).classes("hint")
-        _length(bench, board)
+
+        @ui.refreshable
+        def length() -> None:
+            _length(bench, choose)
+
+        length()
+    _own(bench, choose)
+    ui.timer(1.0, wait_for_other)
+
+
+def _tile(bench: Bench, name: str, choose: Callable[[str], None]) -> None:
+    """A board to choose: its picture, its kind and its squares."""
+    file = api.shipped_targets().get(name) or bench.folder / name
+    try:
+        board = api.read_board(file)
+    except MeasureError:
+        return
+    tile = ui.element("button").classes("board-tile").props('type="button" role="radio"')
+    tile.props["data-board"] = name
+    tile.props["aria-checked"] = "true" if name == bench.board else "false"
+    put(tile, "chosen", name == bench.board)
+    with tile:
+        if isinstance(board, api.Charuco | api.Chessboard):
+            has_markers = isinstance(board, api.Charuco)
+            columns, rows = (count + 1 for count in board.inner_corners)
+            ui.html(drawings.board(columns, rows, has_markers), sanitize=False)
+            kind = "ChArUco" if has_markers else "chessboard"
+            ui.label(f"{kind}, {columns} x {rows} squares")
+            ui.label(f"{board.square_mm:.4g} mm · {Path(name).stem}").classes("hint")
+        else:
+            ui.label(board.title)
+            ui.label(Path(name).stem).classes("hint")
+    tile.on("click", lambda: choose(name))
+
+
+def _own(bench: Bench, choose: Callable[[str], None]) -> None:
+    """A board of one's own: its kind, its squares and their size."""
+    with details("My board: another one than these"), ui.row().classes("line"):
+        kind = ui.select({"charuco": "ChArUco", "chessboard": "chessboard"}, value="chessboard")
+        kind.props('label="Kind"').classes("field")
+        columns = ui.number("Squares along the long side", value=10, min=3, precision=0)
+        rows = ui.number("Squares along the short side", value=7, min=3, precision=0)
+        square = ui.number("Square, mm", value=25.0, min=0.1)
+        for field in (columns, rows, square):
+            field.classes("field")
+
+        def write() -> str:
+            counts = int(columns.value or 0), int(rows.value or 0)
+            made = studio_api.own_board(kind.value, *counts, float(square.value or 0.0))
+            return studio_api.write_board(bench.folder, made, "my-board").name
+
+        async def take() -> None:
+            if name := await tried(write):
+                choose(name)
+
+        button("Use it", "done", take)
 
 
 def _names(bench: Bench) -> list[str]:
@@ -53,7 +126,7 @@ def _is_board(name: str) -> bool:
         return False
 
 
-def _length(bench: Bench, board: ui.select) -> None:
+def _length(bench: Bench, choose: Callable[[str], None]) -> None:
     """How long the printed board's squares are, with a ruler's picture."""
     ui.html(drawings.ruler(), sanitize=False)
     with ui.column().classes("length"):
@@ -75,10 +148,10 @@ def _length(bench: Bench, board: ui.select) -> None:
         if not field.value or abs(field.value - squares * square_mm) < 1e-9:
             return
         if made := await tried(lambda: _measured(bench, field.value / squares)):
-            board.set_options(_names(bench), value=made)
-        fill()
+            choose(made)
+        else:
+            fill()
 
-    board.on_value_change(fill)
     field.on("blur", measured).on("keydown.enter", measured)
     fill()
 

@@ -32,6 +32,7 @@ from measure_studio.page.layout import (
     tell,
     told,
     tried,
+    undo,
 )
 
 _SEEN_BY = 2  # Cameras that must see a colour, where there are as many, before it is listed
@@ -90,7 +91,9 @@ class _Making:
         """Call a ball so, in the file of the body that was found, too."""
         self.colors.call(color, name)
         if self.found is not None and self.out is not None and color in self.found.body.names:
+            before = self.out.read_bytes()
             api.write_body(self.out, self.colors.named(self.found).body)
+            self.bench.keep(self.out, before)
 
     def measure(self, like: Path | None, calibration: Path | None) -> None:
         """Record the body while it is turned about, and locate its balls; it waits its turn."""
@@ -100,6 +103,7 @@ class _Making:
             known = calibration or bench.folder / CALIBRATION
             if not known.is_file():
                 raise ConfigError("choose a calibration: step 2, Calibration, makes it")
+            self.out = None  # Another body
             session = bench.folder / studio_api.next_free(bench.folder, "session")
             job.title = f"recording {session.name}"
             try:
@@ -123,8 +127,10 @@ class _Making:
         bench = self.bench
         job.title = f"looking for the balls in {session.name}"
         found = self.colors.find(session, bench.registry, radius_mm, like, job.progress)
-        out = bench.folder / studio_api.next_free(bench.folder, "body", ".toml")
+        out = self.out or bench.folder / studio_api.next_free(bench.folder, "body", ".toml")
+        before = out.read_bytes() if out.is_file() else None
         api.write_body(out, self.colors.named(found).body)
+        bench.keep(out, before)
         self.found, self.session, self.out = found, session, out
         bench.body = out
         self.look(like, is_new=False)
@@ -167,20 +173,23 @@ def add(bench: Bench) -> None:
     @ui.page("/body")
     def page_of_body() -> None:
         with page(bench, "/body"):
-            intro(
-                "Turn the body slowly before the cameras while it is recorded: its balls are found "
-                "by their colours. Click a ball that is not outlined.",
-                drawings.body_in_hand(),
-            )
             like = _settings(bench, making)
-            told(making.figures, "figure", "data-body")
-            told(lambda: _judgement(making), "hint")
             _chips(making, like)
-            with pictures():
-                for one in bench.cameras:
-                    _camera(bench, making, like, one.name)
-            if not bench.cameras:
-                empty("The cameras' pictures come here: step 1, Cameras, adds them.")
+            with ui.element("div").classes("duo"):
+                with ui.element("div").classes("watching"):
+                    with pictures().classes("fitted low"):
+                        for one in bench.cameras:
+                            _camera(bench, making, like, one.name)
+                    if not bench.cameras:
+                        empty("The cameras' pictures come here: step 1, Cameras, adds them.")
+                with ui.element("div").classes("saying"):
+                    intro(
+                        "Turn the body slowly before the cameras while it is recorded: its balls "
+                        "are found by their colours. Click a ball that is not outlined.",
+                        drawings.body_in_hand(),
+                    )
+                    told(making.figures, "figure digits", "data-body")
+                    told(lambda: _judgement(making), "hint")
             with suppress(MeasureError):  # too few colours are left, which was told then
                 making.look(like(), is_new=making.is_changed)
 
@@ -203,6 +212,7 @@ def _settings(bench: Bench, making: _Making) -> Callable[[], Path | None]:
             primary=True,
         )
         again = act("Search the recording again", "refresh", lambda: making.search_again(like()))
+        undo(bench, lambda: making.out)
         for label, value in (("Radius of the balls, mm", "radius_mm"), ("Seconds", "seconds")):
             ui.number(label, min=0.1).bind_value(making, value).classes("field")
     with details("More: names and colours of a body file, calibration"), ui.row().classes("line"):

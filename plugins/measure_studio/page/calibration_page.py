@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 
 import numpy as np
 from nicegui import ui
@@ -14,7 +15,7 @@ from measure import api
 from measure.errors import ConfigError
 from measure_studio import api as studio_api
 from measure_studio.page import drawings, overlays
-from measure_studio.page.bench import Bench, Job
+from measure_studio.page.bench import CALIBRATION, Bench, Job
 from measure_studio.page.board_choice import choose_board
 from measure_studio.page.layout import (
     act,
@@ -22,15 +23,18 @@ from measure_studio.page.layout import (
     choice,
     chosen,
     details,
+    findings_shown,
     intro,
     kept_so,
     link,
     page,
     put,
     told,
+    undo,
 )
 
 _ROWS = ("upper", "middle", "lower")  # By which advice names a part of a picture
+_FINEST_MM = 0.01
 _ADVISED = 2  # Pieces of advice that are shown at a time: hands follow no more
 
 
@@ -48,12 +52,12 @@ class _Wave:
     is_waved: bool = False
     suffices: bool = False  # whether whoever waves has had enough
 
-    def take(self, body: Path | None) -> None:
+    def take(self, body: Path | None, waits: bool = False) -> None:
         """Take pictures of the board until they are enough, and calibrate by them."""
         bench, cameras = self.bench, self.bench.addresses()
-        out = bench.folder / studio_api.next_free(bench.folder, "capture")
 
         def work(job: Job) -> str:
+            out = bench.folder / studio_api.next_free(bench.folder, "capture")
             self.capture, self.state, self.result = out, None, None
             self.is_waved, self.suffices = True, False
             try:
@@ -66,18 +70,37 @@ class _Wave:
                     ),
                     body=body,
                     goal_mm=self.goal_mm,
-                    on_state=lambda state: setattr(self, "state", state),
+                    on_state=lambda state: self._note(job, state),
                     on_corners=self._see,
                 )
             finally:
                 self.is_waved = False
-            if last is None or not (last.enough or self.suffices):
-                return (
-                    f"stopped; {_kept(last)}: wave the board again, or calibrate by them under More"
-                )
+            if last is None or not any(seen.views for seen in last.cameras.values()):
+                rmtree(out, ignore_errors=True)
+                self.capture = None
+                return "stopped: no picture was kept"
+            if not (last.enough or self.suffices):
+                return f"stopped: {_kept(last)} kept; More calibrates by them"
             return bench.calibrated(job, out, self._hear, body)
 
-        bench.begin("watching the board", work, needs_cameras=True)
+        bench.begin("watching the board", work, needs_cameras=True, waits=waits)
+
+    def _note(self, job: Job, state: api.WaveState) -> None:
+        """Hear how far it is; it ends once it is accurate, and no part of a picture is empty."""
+        self.state = state
+        if state.accurate and not _empty_parts(state):
+            self.suffices = True
+            job.stop.set()
+
+    def take_other(self, body: Path | None) -> str:
+        """Take the board that is seen, in place of the chosen one, and wave on."""
+        other = self.state.other if self.state is not None else None
+        if other is None or other.board is None:
+            raise ConfigError("no other board is seen any more")
+        self.bench.board = studio_api.write_board(self.bench.folder, other.board, "my-board").name
+        self.bench.stop()
+        self.take(body, waits=True)
+        return f"{self.bench.board} is the board that is seen"
 
     def end(self) -> None:
         """Take what there is for enough."""
@@ -118,10 +141,8 @@ class _Wave:
             return ""
         if self.state is None:
             return "show the board to the cameras"
-        if self.is_accurate and self.state.advice:
-            empty = [one for one in self.state.advice if any(row in one for row in _ROWS)]
-            what, lacks = ("empty", empty) if empty else ("to do", self.state.advice)
-            return f"Accurate enough. Still {what}: {'; '.join(lacks[:_ADVISED])}"
+        if self.is_accurate and (lacks := _empty_parts(self.state)):
+            return "\n".join(["Accurate enough. Better still:", *lacks[:_ADVISED]])
         return "\n".join(self.state.advice[:_ADVISED])
 
     def reached(self) -> str:
@@ -151,9 +172,13 @@ class _Wave:
         return overlays.over(facts.size_wh, *parts)
 
 
-def _kept(last: api.WaveState | None) -> str:
-    count = max((seen.views for seen in last.cameras.values()), default=0) if last else 0
-    return f"kept: {_pictures(count)}" if count else "no picture was kept"
+def _empty_parts(state: api.WaveState) -> list[str]:
+    """What to do about parts of pictures in which the board was never seen."""
+    return [one for one in state.advice if any(f"at the {row}" in one for row in _ROWS)]
+
+
+def _kept(last: api.WaveState) -> str:
+    return _pictures(max(seen.views for seen in last.cameras.values()))
 
 
 def _pictures(count: int) -> str:
@@ -208,6 +233,7 @@ def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> Non
         told(wave.advice, "figure lines", "data-advice")
         begin = act("Wave the board", "waving_hand", lambda: wave.take(body()), primary=True)
         enough = act("Enough for me", "done", wave.end, primary=True)
+        other = act("Take the board that is seen", "swap_horiz", lambda: wave.take_other(body()))
     with ui.column().classes("advice") as shown:
         bar = ui.linear_progress(0.0, show_value=False).props("rounded size=0.9rem")
         bar.props('aria-label="how accurate it is, of what was asked for"')
@@ -216,6 +242,8 @@ def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> Non
     def show() -> None:
         begin.set_visibility(not bench.busy)
         enough.set_visibility(wave.is_waved and wave.is_accurate)
+        seen = wave.state.other if wave.is_waved and wave.state is not None else None
+        other.set_visibility(seen is not None and seen.board is not None)
         shown.set_visibility(wave.is_waved)
         bar.value = wave.share
 
@@ -226,10 +254,9 @@ def _judgement(bench: Bench, wave: _Wave) -> None:
     """How good the calibration is, before what was noticed; notes are folded away."""
     with ui.column().classes("verdict") as shown:
         headline = ui.label().classes("figure").props("data-judgement")
-        told(lambda: "\n".join(_findings(wave.result, notes=False)), "lines")
         link("Report of the calibration, with the cameras in 3-D", bench, lambda: wave.report)
-        with details("What was noticed besides") as folded:
-            told(lambda: "\n".join(_findings(wave.result, notes=True)))
+        undo(bench, lambda: bench.folder / CALIBRATION, lambda: setattr(wave, "result", None))
+        found = ui.html("", sanitize=False).classes("findings")
 
     def show() -> None:
         shown.set_visibility(wave.result is not None and not wave.is_waved)
@@ -238,7 +265,7 @@ def _judgement(bench: Bench, wave: _Wave) -> None:
             headline.text = _headline(verdict)
             put(headline, "wrong", not verdict.trustworthy)
             put(headline, "good", verdict.trustworthy)
-            folded.text = f"{len(_findings(wave.result, notes=True))} things noticed besides"
+            found.set_content(findings_shown(_findings(wave.result), bench.names))
 
     kept_so(0.5, show)
 
@@ -246,13 +273,17 @@ def _judgement(bench: Bench, wave: _Wave) -> None:
 def _headline(verdict: api.Verdict) -> str:
     mean, worst = np.sqrt(np.mean(verdict.position_sd_mm**2)), verdict.position_sd_mm.max()
     good = "The cameras are calibrated" if verdict.trustworthy else "Do not trust this calibration"
-    return f"{good}: expected error at the body {mean:.3f} mm, at worst {worst:.3f} mm"
+    return f"{good}: expected error at the body {_mm(mean)}, at worst {_mm(worst)}"
 
 
-def _findings(result: api.CalibrationResult | None, notes: bool) -> list[str]:
-    """What was noticed: either what is wrong or weak, or all the rest."""
-    if result is None:
-        return []
-    found = result.verdict.findings
-    grave = [str(one) for one in found if one.level.value != "note"]
-    return [line for line in result.lines()[:-1] if line not in grave] if notes else grave
+def _mm(error_mm: float) -> str:
+    """An expected error; no board on paper is known better than to a hundredth of a millimetre."""
+    return f"{error_mm:.2f} mm" if error_mm >= _FINEST_MM else f"below {_FINEST_MM:g} mm"
+
+
+def _findings(result: api.CalibrationResult) -> list[api.Finding]:
+    """What was noticed: the judgement's findings, and all other lines as notes."""
+    found = list(result.verdict.findings)
+    said = {str(one) for one in found}
+    others = [line.removeprefix("note: ") for line in result.lines()[:-1] if line not in said]
+    return found + [api.Finding(api.Level.NOTE, "calibration", line) for line in others]

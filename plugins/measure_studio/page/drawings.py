@@ -51,6 +51,18 @@ def waving() -> str:
     )
 
 
+def board(columns: int, rows: int, has_markers: bool) -> str:
+    """A board of so many squares, in small."""
+    marks = "".join(
+        f'<rect class="thing" x="{x + 0.2:g}" y="{y + 0.2:g}" width="0.6" height="0.6"/>'
+        for y in range(rows)
+        for x in range(columns)
+        if (x + y) % 2 == 1
+    )
+    head = f'<svg class="small" viewBox="0 0 {columns} {rows}" aria-hidden="true">'
+    return f"{head}{_squares(columns, rows, 1)}{marks * has_markers}</svg>"
+
+
 def ruler() -> str:
     """A ruler along ten squares of a board: the length of one is a tenth of what it shows."""
     ticks = "".join(f"M{8 + 20 * n} 84v{14 if n % 5 == 0 else 8}" for n in range(11))

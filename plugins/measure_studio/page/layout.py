@@ -14,10 +14,10 @@ from urllib.parse import quote
 from nicegui import run, ui
 
 from measure import api
-from measure.errors import MeasureError
+from measure.errors import ConfigError, MeasureError
 from measure_studio import api as studio_api
-from measure_studio.page.bench import Bench
-from measure_studio.page.steps import STEPS, step_of
+from measure_studio.page.bench import Bench, before_of
+from measure_studio.page.steps import ASIDE, STEPS, step_of
 from measure_studio.page.words import grouped, plain
 
 _T = TypeVar("_T")
@@ -36,11 +36,14 @@ _HEAD = """<link rel="stylesheet" href="/studio/studio.css">
 def page(bench: Bench, path: str) -> Iterator[None]:
     """The frame round a page: the steps at its head, what is being done at its foot."""
     here = step_of(path)
-    dressed(STEPS[here].name if path == STEPS[here].path else "Marks")
+    dressed(ASIDE[path][0] if path in ASIDE else STEPS[here].name)
     with ui.header().classes("head"):
         ui.label("triball").classes("product")
         with ui.element("nav").classes("way").props('aria-label="steps"'):
             links = [_step_link(number, here) for number in range(len(STEPS))]
+        recorded = ui.link("Recordings", "/recordings").classes("help recorded")
+        recorded.props('aria-label="Recordings"')
+        put(recorded, "here", path == "/recordings")
         help_link = ui.link("Help", f"{HELP}#{STEPS[here].name.lower()}", new_tab=True)
         help_link.classes("help").props("data-help")
     with ui.column().classes("page") as body:
@@ -48,7 +51,7 @@ def page(bench: Bench, path: str) -> Iterator[None]:
         yield
     with ui.footer().classes("foot"):
         _job_line(bench)
-        onward = _next_link(here)
+        onward = None if path == "/recordings" else _next_link(here)
 
     def tick() -> None:
         done = [step.is_done(bench) for step in STEPS]
@@ -218,7 +221,7 @@ def button(
 ) -> ui.button:
     """A button; one of a page is its primary, which stands out."""
     made = ui.button(text, icon=icon, on_click=on_click, color=None).props("flat no-caps")
-    made.props(f'aria-label="{text}"')
+    made.props(f'aria-label="{text}"{" data-begin" * primary}')
     return made.classes("act primary" if primary else "act")
 
 
@@ -230,6 +233,26 @@ def act(text: str, icon: str, work: Callable[[], str | None], primary: bool = Fa
             tell(said, "warning" if isinstance(said, Hint) else "positive")
 
     return button(text, icon, pressed, primary)
+
+
+def undo(bench: Bench, file: Callable[[], Path | None], after: Callable[[], object] = str) -> None:
+    """A button that takes the last change of a file back, where the version before is kept."""
+
+    def take_back() -> str:
+        if (there := file()) is None:
+            raise ConfigError("nothing was changed yet")
+        said = bench.take_back(there)
+        after()
+        return said
+
+    made = act("Take the last change back", "undo", take_back)
+
+    def show() -> None:
+        there = file()
+        is_kept = there is not None and there.is_file() and before_of(there).is_file()
+        made.set_visibility(is_kept and not bench.busy)
+
+    kept_so(1.0, show)
 
 
 def typed(label: str, example: str) -> ui.input:

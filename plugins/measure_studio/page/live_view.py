@@ -22,10 +22,17 @@ _STATES = {"ok": (46, 160, 67), "flagged": (178, 106, 0)}
 class LiveView:
     """What was measured of late, to be drawn by any page that is open."""
 
-    def __init__(self, cameras: Sequence[api.Camera]) -> None:
+    def __init__(
+        self, cameras: Sequence[api.Camera], places_mm: Any = (), are_good: Any = ()
+    ) -> None:
+        """Begin with the cameras, and the places (n, 3) of poses that are known already."""
         self._cameras = {camera.name: camera for camera in cameras}
         self._latest: Sequence[api.Measurement] = ()
         self._trail: deque[tuple[list[float], tuple[int, int, int]]] = deque(maxlen=_TRAIL)
+        step = max(len(places_mm) // _TRAIL, 1)
+        for place, is_good in zip(places_mm[::step], are_good[::step], strict=True):
+            state = _STATES["ok" if is_good else "flagged"]
+            self._trail.append(((_MM * np.asarray(place)).tolist(), state))
 
     def note(self, latest: Sequence[api.Measurement]) -> None:
         """Take the measurements of a frame set."""
@@ -44,7 +51,7 @@ class LiveView:
             scene.axes_helper(1.0)
             for camera in self._cameras.values():
                 self._draw_camera(scene, camera)
-            trail = scene.point_cloud([[0, 0, 0]], [[0, 0, 0]], point_size=0.05)
+            trail = scene.point_cloud([[0, 0, 0]], [[0, 0, 0]], point_size=0.12)
             away = [_MM * camera.center - middle for camera in self._cameras.values()]
             eye = middle + np.array([0.3, -1.2, 0.6]) * float(np.max(np.linalg.norm(away, axis=1)))
             scene.move_camera(

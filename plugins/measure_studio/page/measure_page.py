@@ -263,17 +263,12 @@ def _settings(bench: Bench, live: _Live) -> None:
     ui.timer(0.5, show)
 
     async def strike(pressed: events.KeyEventArguments) -> None:
-        if not pressed.action.keydown or pressed.action.repeat:
+        if not pressed.action.keydown or pressed.action.repeat or pressed.key != "m":
             return
-        if pressed.key == "m":
-            if said := await tried(lambda: live.mark(what.value)):
-                tell(said, "warning" if isinstance(said, Hint) else "positive")
-        elif pressed.key == " " and bench.busy:
-            bench.stop()
-        elif pressed.key == " ":
-            await tried(lambda: live.measure(*given()))
+        if said := await tried(lambda: live.mark(what.value)):
+            tell(said, "warning" if isinstance(said, Hint) else "positive")
 
-    ui.keyboard(strike, ignore=["input", "textarea", "select", "button"])
+    ui.keyboard(strike, ignore=["input", "textarea"])
 
 
 def _figures(live: _Live) -> None:

@@ -31,6 +31,7 @@ from measure_studio.page import (
     help_page,
     marks_page,
     measure_page,
+    recordings_page,
     world_page,
 )
 from measure_studio.page.bench import Bench
@@ -116,7 +117,15 @@ def _application(bench: Bench) -> FastAPI:
     add_viewer(application, bench)
     static = resources.files("measure_studio") / "static"
     pages.add_static_files("/studio", str(static))
-    for page in (cameras_page, calibration_page, world_page, marks_page, body_page, measure_page):
+    for page in (
+        cameras_page,
+        calibration_page,
+        world_page,
+        marks_page,
+        body_page,
+        measure_page,
+        recordings_page,
+    ):
         page.add(bench)
     help_page.add()
     ui.run_with(

@@ -48,10 +48,10 @@ STEPS = (
     Step("/body", "Body", _has_body),
     Step("/measure", "Measure", _has_run),
 )
-ASIDE = {"/marks": "/world"}
-"""Pages beside the way, with the step that they belong to."""
+ASIDE = {"/marks": ("Marks", "/world"), "/recordings": ("Recordings", "/measure")}
+"""Pages beside the way: their names, and the steps that they belong to."""
 
 
 def step_of(path: str) -> int:
     """Number of the step that a page belongs to, from 0."""
-    return [step.path for step in STEPS].index(ASIDE.get(path, path))
+    return [step.path for step in STEPS].index(ASIDE.get(path, ("", path))[1])

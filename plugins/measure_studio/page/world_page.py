@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 
 from nicegui import run, ui
 
@@ -25,6 +26,7 @@ from measure_studio.page.layout import (
     intro,
     page,
     told,
+    undo,
 )
 from measure_studio.page.steps import STEPS, step_of
 from measure_studio.page.words import plain
@@ -65,23 +67,32 @@ class _World:
 
     def by_board(self) -> None:
         """Put the world where the board lies now."""
-        bench, given = self.bench, self.calibration()
+        bench = self.bench
+        if not bench.busy:
+            self.calibration()
 
         def work(_: Job) -> str:
-            newest = bench.preview.pixels(bench.names)
+            newest, given = bench.preview.pixels(bench.names), self.calibration()
             moved, _place = lab.world_by_board(given, bench.target(), newest)
-            api.write_calibration(bench.folder / CALIBRATION, moved)
-            return f"{CALIBRATION}: the world is where the board lies, z up from the paper"
+            self._write(moved)
+            return "the origin is at the board, z up from the paper"
 
-        bench.begin("moving the world", work)
+        bench.begin("setting the origin", work, waits=True)
+
+    def _write(self, moved: api.Calibration) -> None:
+        file = self.bench.folder / CALIBRATION
+        before = file.read_bytes()
+        api.write_calibration(file, moved)
+        self.bench.keep(file, before)
 
     def by_body(self, body: Path | None) -> None:
         """Put the world where a body rests now: it is measured for some seconds."""
-        self.calibration()
+        if not self.bench.busy:
+            self.calibration()
         if body is None:
             raise ConfigError("choose the body that lies at rest")
         bench, out = self.bench, self.bench.folder / CALIBRATION
-        cameras, run = bench.addresses(), bench.folder / studio_api.next_free(bench.folder, "world")
+        cameras = bench.addresses()
         times_s: list[float] = []
 
         def work(job: Job) -> str:
@@ -91,25 +102,47 @@ class _World:
                 if len(times_s) >= _REST_POSES and times_s[-1] - times_s[0] > _REST_S:
                     job.stop.set()
 
+            run = bench.folder / studio_api.next_free(bench.folder, "world")
             made = studio_api.LiveOptions(
                 stop=job.stop, request=bench.request, on_image=bench.preview.add
             )
             profile = api.load_profile()
-            studio_api.live(cameras, run, out, [body], profile, bench.registry, made, hear)
-            api.write_calibration(out, lab.world(out, run)[0])
-            return f"{CALIBRATION}: the world is the frame of {body.name}, as it lay"
+            try:
+                studio_api.live(cameras, run, out, [body], profile, bench.registry, made, hear)
+                self._write(lab.world(out, run)[0])
+            except MeasureError:
+                rmtree(run, ignore_errors=True)
+                raise
+            return f"the origin is that of {body.name}, as it lay"
 
-        bench.begin("measuring the body at rest", work, needs_cameras=True)
+        bench.begin("measuring the body at rest", work, needs_cameras=True, waits=True)
 
     def said(self) -> str:
         """What the pictures show."""
         if self.bench.calibration is None:
             return "There is no calibration yet: step 2 makes the one that is moved here."
         if self.place is not None:
-            return "The board is seen: the thin axes show where the world will be."
+            return "The board is seen. The thin axes show where the origin will be."
         if STEPS[step_of("/world")].is_done(self.bench):
-            return "The axes show where the world is. Lay the board elsewhere to move it."
+            return "The axes show where the origin is. Lay the board elsewhere to move it."
         return f"The board is not seen yet: {self.unseen}" if self.unseen else "looking ..."
+
+    def line(self, name: str) -> str:
+        """What a camera shows of the origin, in a line."""
+        known = self.bench.calibration
+        if (
+            known is None
+            or name not in known.names
+            or not STEPS[step_of("/world")].is_done(self.bench)
+        ):
+            return name
+        camera = known.camera(name)
+        at = camera.project(camera.center[None] * 0.0)
+        return (
+            name
+            if camera.intrinsics.contains(at)[0]
+            else f"{name}: the origin is outside its picture"
+        )
 
     def drawn_over(self, name: str) -> str:
         """The world's axes as a camera sees them, and thinner those of the board that is seen."""
@@ -135,14 +168,15 @@ def add(bench: Bench) -> None:
     def page_of_world() -> None:
         with page(bench, "/world"):
             intro(
-                "Lay the board where the world is to begin, where cameras see it, and let go of "
-                "it: its corner becomes the origin, z points up from the paper.",
+                "Lay the board where you want the origin, in view of the cameras, and let go of "
+                "it. Its corner becomes the origin; z points up from the paper.",
                 drawings.axes_on_board(),
             )
             with ui.row().classes("line"):
-                act("The world is where the board lies", "my_location", world.by_board, True)
+                act("Set the origin here", "my_location", world.by_board, True)
+                undo(bench, lambda: bench.folder / CALIBRATION)
                 told(world.said, "hint")
-            camera_pictures(bench, str, world.drawn_over)
+            camera_pictures(bench, world.line, world.drawn_over)
             _others(bench, world)
         ui.timer(_LOOK_S, partial(run.io_bound, world.look))
 
@@ -153,7 +187,7 @@ def _others(bench: Bench, world: _World) -> None:
         with ui.row().classes("line"):
             body = choice("Body at rest", bench, studio_api.contents_of(bench.folder).bodies)
             act(
-                "The world is the body's frame",
+                "Set the origin at the body",
                 "my_location",
                 lambda: world.by_body(next(iter(chosen(bench, body)), None)),
             )

@@ -101,3 +101,12 @@ window.sharesOf = ({ target: image, clientX, clientY }) => {
     0.5 + (clientY - box.top - box.height / 2) / (scale * image.naturalHeight),
   ];
 };
+
+// Space stops what goes on, or begins what the page is for.
+document.addEventListener("keydown", (event) => {
+  if (event.key !== " " || event.repeat || event.target.closest("input, textarea, select, button, a, summary")) return;
+  const shown = [...document.querySelectorAll(".foot .stop, [data-begin]")].filter((one) => one.offsetParent);
+  const meant = shown.find((one) => one.matches(".stop")) ?? shown[0];
+  if (meant) event.preventDefault();
+  meant?.click();
+});

@@ -1,0 +1,144 @@
+"""Recordings: sessions and runs that are in the folder, and what can be done with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from nicegui import ui
+
+from measure import api
+from measure_lab import api as lab
+from measure_studio import api as studio_api
+from measure_studio.page.bench import Bench, Job
+from measure_studio.page.layout import act, button, empty, findings_shown, kept_so, page, tried
+from measure_studio.page.live_view import LiveView
+from measure_studio.page.words import plain
+
+
+@dataclass
+class _Recordings:
+    """What was found of recordings; it outlives the browser's page."""
+
+    bench: Bench
+    findings: dict[Path, Sequence[Any]] = field(default_factory=dict)
+
+    def check(self, session: Path) -> None:
+        """Say what is wrong or weak in a recording; it waits its turn."""
+
+        def work(job: Job) -> str:
+            found = api.check(session, self.bench.registry, progress=job.progress)
+            self.findings[session] = found.findings
+            return f"checked {session.name}"
+
+        self.bench.begin(f"checking {session.name}", work, waits=True)
+
+    def report(self, run: Path) -> None:
+        """Write a run's report; it waits its turn."""
+
+        def work(_: Job) -> str:
+            lab.report(run, overwrite=True)
+            return f"{run.name}: its report is written"
+
+        self.bench.begin(f"reporting {run.name}", work, waits=True)
+
+    def delete(self, one: studio_api.Recording) -> None:
+        """Delete a recording or a run."""
+        self.bench.refuse_if_busy()
+        studio_api.delete_recording(self.bench.folder, one.folder.name)
+
+
+def add(bench: Bench) -> None:
+    """Add the page."""
+    recordings = _Recordings(bench)
+
+    @ui.page("/recordings")
+    async def page_of_recordings() -> None:
+        with page(bench, "/recordings"):
+            there = ui.column().classes("recordings")
+            shown: list[studio_api.Recording] = []
+
+        async def refresh() -> None:
+            found = await tried(lambda: studio_api.recordings_in(bench.folder))
+            if found is None or (found == shown and shown):
+                return
+            shown[:] = found
+            there.clear()
+            with there:
+                if not found:
+                    empty("Recordings and runs come here: pages Body and Measure make them.")
+                for one in found:
+                    _row(recordings, one, refresh)
+
+        await refresh()
+        ui.timer(3.0, refresh)
+
+
+def _row(recordings: _Recordings, one: studio_api.Recording, refresh: Callable[[], Any]) -> None:
+    """A recording or a run in a line: what it is, how good, and what can be done with it."""
+    bench, name = recordings.bench, one.folder.name
+
+    async def delete() -> None:
+        asked.close()
+        await tried(lambda: recordings.delete(one))
+        await refresh()
+
+    with ui.dialog() as asked, ui.card():
+        ui.label(f"Delete {name}, with all that is in it?")
+        with ui.row():
+            button("Delete it", "delete", delete, primary=True)
+            button("Keep it", "undo", asked.close)
+    with ui.card().classes("recording").props(f'data-recording="{quote(name)}"'):
+        with ui.element("div").classes("about"):
+            ui.label(name).classes("text-h6 named")
+            ui.label(f"{one.at:%d %b %Y, %H:%M}")
+            ui.label("" if one.seconds is None else f"{one.seconds:.0f} s").classes("digits")
+            ui.label(_share(one)).classes("digits")
+        if one.problem:
+            ui.label(plain(one.problem, bench.folder)).classes("weak")
+        with ui.row().classes("line"):
+            if one.kind == "session":
+                act("Check", "rule", partial(recordings.check, one.folder))
+            else:
+                if one.report is not None:
+                    address = f"/file/{quote(str(one.report.relative_to(bench.folder)))}"
+                    ui.link("Report", address, new_tab=True).classes("act")
+                else:
+                    act("Write the report", "article", partial(recordings.report, one.folder))
+                button("3-D", "view_in_ar", partial(_open_view, one.folder))
+            button("Delete", "delete", asked.open)
+        said = ui.html("", sanitize=False).classes("findings")
+
+    def show() -> None:
+        findings = recordings.findings.get(one.folder)
+        said.set_visibility(findings is not None)
+        if findings is not None:
+            nothing = '<p class="good">nothing wrong, nothing weak</p>'
+            said.set_content(findings_shown(findings, bench.names) or nothing)
+
+    kept_so(1.0, show)
+
+
+def _share(one: studio_api.Recording) -> str:
+    if one.kind == "session":
+        return "pictures"
+    return f"{one.good} of {one.poses} poses good" if one.poses else "no pose"
+
+
+async def _open_view(run: Path) -> None:
+    """Cameras and the way of the body, in 3-D."""
+    found = await tried(lambda: studio_api.trail_of(run))
+    if found is None:
+        return
+    cameras, places, good = found
+    with ui.dialog() as shown, ui.card().classes("tile large"):
+        ui.label(run.name).classes("text-h6")
+        view = LiveView(cameras, places, good)
+        draw = view.scene()
+        button("Close", "close", shown.close)
+    draw()
+    shown.open()
