@@ -40,7 +40,7 @@ def run_blueprint(
         rrb.Tabs(
             *([plot("Error [mm]", "plots/error_mm")] if truth else []),
             _by_axis("Position [mm]", "plots/position_mm"),
-            _by_axis("Rotation [deg]", "plots/rotation_deg"),
+            plot("Rotation [deg]", "plots/rotation_deg"),
         ),
         plot("Position SD [mm]", "plots/position_sd_mm"),
         plot("Residual [px]", "plots/residual_px"),
@@ -83,15 +83,7 @@ def plot(name: str, origin: str) -> rrb.TimeSeriesView:
 
 def _by_axis(name: str, origin: str) -> rrb.Vertical:
     """Plots of x, y and z, each with a scale of its own."""
-    plots = (
-        rrb.TimeSeriesView(
-            origin=origin,
-            name=axis,
-            contents=[f"$origin/{axis}/**"],
-            plot_legend=rrb.PlotLegend(visible=False),
-        )
-        for axis in "xyz"
-    )
+    plots = (rrb.TimeSeriesView(origin=f"{origin}/{axis}", name=axis) for axis in "xyz")
     return rrb.Vertical(*plots, name=name)
 
 

@@ -70,8 +70,8 @@ def test_marks_stand_where_there_is_a_picture_of_their_instant(tmp_path):
 
 def test_coordinates_have_plots_of_their_own():
     layout = run_blueprint(CAMERAS).root_container
-    for plots in layout.contents[1].contents[0].contents:
-        assert [view.name for view in plots.contents] == ["x", "y", "z"]
+    position = layout.contents[1].contents[0].contents[0]
+    assert [view.name for view in position.contents] == ["x", "y", "z"]
 
 
 def test_a_preview_shows_five_pictures_a_second_of_each_camera(tmp_path, monkeypatch):
