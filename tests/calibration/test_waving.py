@@ -93,7 +93,7 @@ def test_what_lacks_nothing_but_precision_is_not_called_enough(rng):
     state = wave.state()
     assert state.position_sd_mm > 0.01
     assert not state.enough
-    assert state.advice == ("every camera: other places, other tilts",)
+    assert state.advice == ("every camera: show the board in other places and tilts",)
 
 
 def test_a_blurred_view_is_not_kept(rng):
