@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import shutil
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -13,6 +14,7 @@ from typing import Literal
 from measure.api import Camera, inside
 from measure.arrays import Bools, Floats
 from measure.errors import ConfigError, MeasureError
+from measure.reading import parse_toml, read_text
 from measure.results import read_run
 
 _RUN, _SESSION = "run.toml", "session.toml"
@@ -84,9 +86,19 @@ def _run(folder: Path) -> Recording:
     return Recording(folder, "run", at, seconds, good, len(times_s), unfinished)
 
 
+def _stamps(folder: Path) -> list[Path]:
+    """The files of a session that hold its cameras' times."""
+    try:
+        cameras = parse_toml(read_text(folder / _SESSION, ConfigError)).get("cameras", [])
+    except (MeasureError, tomllib.TOMLDecodeError):
+        return []
+    named = [folder / str(one["timestamps"]) for one in cameras if "timestamps" in one]
+    return [file for file in named if file.is_file()]
+
+
 def _session(folder: Path) -> Recording:
     lengths = []
-    for file in folder.glob("*.csv"):
+    for file in _stamps(folder):
         with file.open(encoding="utf-8", newline="") as table:
             times = [row["time_s"] for row in csv.DictReader(table) if "time_s" in row]
         try:
