@@ -114,7 +114,10 @@ def _between_fields(pixels: Bytes, ball: Detection) -> Floats | None:
     """
     (x, y), r = ball.center_px.tolist(), _REACH * ball.radius_px
     top, left = max(round(y - r), 0), max(round(x - r), 0)
-    part = np.asarray(pixels)[top : round(y + r) + 1, left : round(x + r) + 1]
+    picture = np.asarray(pixels)
+    if picture.ndim != 3:  # there are detections alone, of a simulation
+        return None
+    part = picture[top : round(y + r) + 1, left : round(x + r) + 1]
     if min(part.shape[:2]) < FEWEST:
         return None
     # Brightness alone: rows share their colour in JPEG and video.
