@@ -41,7 +41,7 @@ restarts, five minutes each, without re-zeroing: there the reported position err
 {rms:.3f} mm, SD {sd:.3f} mm (x {x:.2f}, y {y:.2f}, z {z:.2f} mm RMS).
 
 **A real arm first**: of the recordings of a dVRK arm (Hwang et al. 2020; 5.18 mm RMS as reported)
-that are left out in turn, four groups of them, `gp` leaves 1.58 mm and a small `stream` 1.35 mm
+that are left out in turn, four groups of them, `gp` leaves 1.52 mm and a small `stream` 1.35 mm
 ([how](explanation/learning.md#judged-across-recordings)); of 22.1 deg of rotation, 5.1 and 4.8 deg.
 
 The simulation is an arm like the paper's, not the paper's arm: the size of its errors, the constant

@@ -26,7 +26,7 @@ _JUDGES = 3000  # largest number of validation labels that choose the kernel
 class GpSettings(host.Settings):
     """Settings of `gp`."""
 
-    points: int = host.setting(4000, "Number of training rows kept for prediction.", ge=1)
+    points: int = host.setting(2500, "Number of training rows kept for prediction.", ge=1)
     tuning_points: int = host.setting(
         400, "Number of rows from which the kernel is chosen and its own variance known.", ge=20
     )
