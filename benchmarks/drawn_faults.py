@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from benchmarks import rig_faults as made
 from benchmarks.rig_faults import CLEAR, Change, Fault
-from measure.arrays import Floats
+from measure.arrays import Bytes, Floats
 from measure.model import Camera
 from measure.session import read_body, read_calibration, write_body
 from measure.simulation import Scene
@@ -301,6 +302,84 @@ def _same_pictures(d: Draw) -> _Made:
     return ("same-pictures",), d.camera, " ".join(d.cameras), change
 
 
+def _same_pictures_again(d: Draw) -> _Made:
+    quality = int(d.rng.integers(60, 96))
+
+    def change(folder: Path) -> None:
+        one, other = (folder / name for name in d.cameras)
+        for source, target in zip(
+            sorted(one.glob("*.jpg")), sorted(other.glob("*.jpg")), strict=True
+        ):
+            cv2.imwrite(str(target), _read(source), [cv2.IMWRITE_JPEG_QUALITY, quality])
+
+    return ("same-pictures",), d.camera, f"{' '.join(d.cameras)} {quality}", change
+
+
+def _repeated(d: Draw) -> _Made:
+    count = int(d.rng.integers(3, 8))
+
+    def change(folder: Path) -> None:
+        files = sorted((folder / d.camera).glob("*.jpg"))
+        for later in files[d.start + 1 : d.start + 1 + count]:
+            shutil.copy(files[d.start], later)
+
+    return ("repeated-pictures",), d.camera, str(count), change
+
+
+def _repeated_again(d: Draw) -> _Made:
+    count = int(d.rng.integers(3, 8))
+    last = d.start + count
+    change = made.pictures(
+        lambda images, k: images[d.start if d.start < k <= last else k], d.camera
+    )
+    return ("repeated-pictures",), d.camera, str(count), change
+
+
+def _blurred(d: Draw) -> _Made:
+    length = int(d.rng.integers(9, 18))
+    kernel = np.ones((1, length)) if d.rng.random() < 0.5 else np.eye(length)
+    change = made.pictures(
+        lambda images, k: np.asarray(cv2.filter2D(images[k], -1, kernel / length), np.uint8)
+    )
+    return ("blurred",), "", f"{length} px", change
+
+
+def _overexposed(d: Draw) -> _Made:
+    factor = d.size(2.4, 3.5)
+    return (
+        ("exposure",),
+        "",
+        f"{factor:.1f}",
+        made.pictures(lambda images, k: np.clip(factor * images[k], 0, 255).astype(np.uint8)),
+    )
+
+
+def _dark(d: Draw) -> _Made:
+    factor = d.size(0.2, 0.3)
+    return (
+        ("exposure",),
+        "",
+        f"{factor:.2f}",
+        made.pictures(lambda images, k: np.clip(factor * images[k], 0, 255).astype(np.uint8)),
+    )
+
+
+def _grain(d: Draw) -> _Made:
+    sd, along = d.size(6, 16), float(d.rng.choice([0.0, 1.0]))
+
+    def grainy(images: list[Bytes], k: int) -> Bytes:
+        grain = d.rng.normal(0, 1, images[k].shape)
+        if along:
+            grain = np.asarray(cv2.GaussianBlur(grain, (9, 1), along), np.float64)
+        return np.clip(images[k] + sd * grain / grain.std(), 0, 255).astype(np.uint8)
+
+    return (), "", f"{sd:.0f} levels", made.pictures(grainy)
+
+
+def _read(path: Path) -> Bytes:
+    return np.asarray(cv2.imread(str(path)), np.uint8)
+
+
 def _interlaced(d: Draw) -> _Made:
     return ("interlaced",), d.camera, "", made.pictures(made.woven, d.camera)
 
@@ -393,6 +472,13 @@ KINDS: dict[str, Callable[[Draw], _Made]] = {
     "red and blue of one": _channels,
     "red and blue": _channels_of_all,
     "same pictures": _same_pictures,
+    "same pictures again": _same_pictures_again,
+    "repeated": _repeated,
+    "repeated again": _repeated_again,
+    "blurred": _blurred,
+    "overexposed": _overexposed,
+    "dark": _dark,
+    "grain": _grain,
     "interlaced one": _interlaced,
     "interlaced": _interlaced_all,
     "bursts": _bursts,
