@@ -20,15 +20,17 @@ from measure.calibration import (
     refine_rig,
     rough_cameras,
 )
+from measure.calibration.refining.freeing import FreedRig, contradicted, freed
 from measure.calibration.refining.recording import recording_of
 from measure.checking.unknown_body import SeenBall, find_layout, locate, search_bodies, wrong_size
 from measure.errors import CalibrationError, ConfigError
 from measure.geometry import RigidTransform, align_points
 from measure.host import Registry
+from measure.host.registry import suggestion
 from measure.limits import SPREAD_OVER
 from measure.measuring import Measurement, Profile
 from measure.measuring.association import associate
-from measure.model import BallColor, Body, Detection
+from measure.model import BallColor, Body, Camera, Detection
 from measure.processes import Progress, quiet
 from measure.session import (
     Calibration,
@@ -60,6 +62,7 @@ class RefineResult:
     rig: RefinedRig
     body: Body  # with its balls where the recording puts them, within the tolerance, and as large
     notes: tuple[str, ...] = ()
+    freed: tuple[str, ...] = ()  # cameras that alone were free, as the others contradict them
 
 
 def refine(
@@ -69,31 +72,76 @@ def refine(
     settings: RefineSettings | None = None,
     calibration: Path | str | None = None,
     progress: Progress = quiet,
+    only: Sequence[str] = (),
 ) -> RefineResult:
     """Measure a session and refine its cameras by bundle adjustment over it.
+
+    Where all others contradict a camera, that alone is freed: shared out among all cameras, its
+    error would move the world.
 
     Args:
         profile: how to measure, by name or TOML file.
         settings: what may change, and how far.
         calibration: first calibration, if not the session's own.
+        only: the cameras to free; those that the others contradict, or else all, if none is given.
+
+    Raises:
+        CalibrationError: too little is seen, the result is implausible, or what is off is not
+            some cameras' alone.
     """
     chosen = lenient(load_profile(profile))
     with open_session(session, calibration=calibration) as opened:
-        joint = joint_covariance(opened)
+        _check_names(only, opened.cameras)
+        joint, first = joint_covariance(opened), opened.cameras
         measured, sized = measure_all(opened, chosen, registry, progress)
-        rough = rough_cameras(opened.cameras, opened.body, measured, settings, joint)
+        names = tuple(only) or contradicted(measured, opened.body, first)
+        if names:
+            recording = recording_of(measured, opened.body, doubtful_too=True)
+            free = freed(first, names, opened.body, recording, settings)
+            rough: tuple[Camera, ...] | None = free.refinement.cameras
+        else:
+            rough = rough_cameras(first, opened.body, measured, settings, joint)
         if rough is not None:
             _log.warning("the cameras disagree much: measuring again with roughly refined ones")
             again = replace(opened, cameras=rough)
             measured, sized = measure_all(again, chosen, registry, progress)
-        rig = refine_measured(opened.cameras, opened.body, measured, settings, joint)
+        if names:
+            recording = recording_of(measured, opened.body)
+            free = freed(first, names, opened.body, recording, settings)
+            rig = refine_measured(free.cameras, opened.body, measured, settings, free.joint)
+            cameras, joint = free.as_stated(rig.refinement, first, joint)
+            rig = replace(rig, refinement=replace(rig.refinement, cameras=cameras))
+            notes = (_freed_note(free, bool(only)), *rig.verdict.notes)
+        else:
+            rig = refine_measured(first, opened.body, measured, settings, joint)
+            notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
+            joint = rig.refinement.covariance
         clocks = clock_values(opened.clock_digest, _shifts(rig, opened.clock_shifts_s))
-    notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
     values = _provenance(str(session), rig) | clocks | {"notes": list(notes)}
+    if names:
+        values["freed"] = list(names)
+    if joint is not None:
+        values["joint_covariance"] = joint
     # The body to write: what is known of its radii becomes their tolerance
     sd_mm = float(np.sqrt(np.mean(np.diag(sized.radius_covariance))))
     refined = replace(sized.with_centers(rig.refinement.centers), radius_tolerance_mm=sd_mm)
-    return RefineResult(Calibration(rig.refinement.cameras, values), rig, refined, notes)
+    return RefineResult(Calibration(rig.refinement.cameras, values), rig, refined, notes, names)
+
+
+def _check_names(only: Sequence[str], cameras: Sequence[Camera]) -> None:
+    known = [camera.name for camera in cameras]
+    for name in only:
+        if name not in known:
+            raise ConfigError(f"--only {name}: {suggestion(name, known, 'camera')}")
+    if {*known} == {*only}:
+        raise ConfigError("--only names all cameras: leave one at least that holds the world")
+
+
+def _freed_note(free: FreedRig, asked: bool) -> str:
+    held = ", ".join(c.name for c in free.cameras if c.name not in free.names)
+    why = "" if asked else "the other cameras contradict it and agree among each other: "
+    how = "moved" if free.moved else "zoomed or cropped"
+    return f"{why}{' and '.join(free.names)} alone freed ({how}); {held} stay as they were"
 
 
 def joint_covariance(opened: Session) -> Floats | None:
@@ -148,7 +196,6 @@ def _provenance(session: str, rig: RefinedRig) -> dict[str, object]:
         "held_out_px": list(verdict.held_out_px),
         "surprise": verdict.surprise,
         "body_position_sd_mm": list(verdict.body_sd_mm),
-        "joint_covariance": refinement.covariance,
     }
 
 

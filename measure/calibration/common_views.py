@@ -175,19 +175,14 @@ def _unconnected(
         if other not in (*placed, *group) and len(views[other].keys() & instants) >= _MIN_COMMON:
             group.append(other)
             instants |= views[other].keys()
+    needed = f"at least {_MIN_COMMON} are needed"
     if len(group) == 1 or len(placed) == 1:
-        whom = "the other cameras" if len(group) == 1 else placed[0]
-        who = f"camera {name}: shares" if len(group) == 1 else f"{_listed(group)} share"
-        return f"{who} {common} board views with {whom}, at least {_MIN_COMMON} are needed"
+        return f"camera {name}: shares {common} board views with the other cameras, {needed}"
     return (
-        f"the cameras see the board in two groups: {_listed(placed)} share views, and so do "
-        f"{_listed(group)}, but a camera of one group shares {common or 'none'} with the other "
-        f"(at least {_MIN_COMMON} are needed): show the board to a camera of each at once"
+        f"the cameras see the board in two groups: {' and '.join(placed)} share views, and so do "
+        f"{' and '.join(group)}, but a camera of one group shares {common or 'none'} with the "
+        f"other ({needed}): show the board to a camera of each at once"
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _shift(
@@ -206,12 +201,10 @@ def _shift(
 
 
 def _shifted(by: int) -> str:
-    count, way = abs(by), "after" if by > 0 else "before"
-    which = f"the one {way} it" if count == 1 else f"the one {count} numbers {way} it"
-    lost = "it" if by > 0 else "another camera"
-    pictures = "a picture" if count == 1 else f"{count} pictures"
+    way, lost = ("after", "it") if by > 0 else ("before", "another camera")
+    which = f"the one {f'{abs(by)} numbers ' if abs(by) > 1 else ''}{way} it"
     return (
-        f"They do when each of its pictures is taken for {which}: {lost} lost {pictures} at the "
+        f"They do when each of its pictures is taken for {which}: {lost} lost {abs(by)} at the "
         "beginning; give its pictures those numbers, or take all again"
     )
 

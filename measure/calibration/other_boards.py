@@ -16,8 +16,6 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints, rms_length
 from measure.calibration.boards import (
-    BORDER_BITS,
-    DICTIONARY,
     MIN_MARKS,
     AprilGrid,
     Board,
@@ -69,12 +67,9 @@ def other_board(board: Board, grays: Sequence[Bytes]) -> OtherBoard | None:
     chosen = board.drawn if isinstance(board, Stretched) else board
     inverted = isinstance(chosen, Charuco) and chosen.inverted
     own: Sequence[str] = _FAMILIES
-    border = 1
     if isinstance(chosen, Charuco):
         own = tuple(name for name in _FAMILIES if _is_of(chosen.dictionary, name))
-    if isinstance(chosen, AprilGrid):
-        own, border = (DICTIONARY,), BORDER_BITS
-    seen = [] if isinstance(chosen, Chessboard) else _families_seen(grays, own, inverted, border)
+    seen = [] if isinstance(chosen, Chessboard) else _families_seen(grays, own, inverted)
     # Squares of a chessboard make a search for all markers long, and ChArUco boards small ones.
     if not seen and (plain := _other_chessboard(chosen, grays, _LARGE)):
         return plain
@@ -83,8 +78,6 @@ def other_board(board: Board, grays: Sequence[Bytes]) -> OtherBoard | None:
     if not seen:
         return _other_chessboard(chosen, grays, _SMALL)
     best = max(seen, key=lambda one: one.total)
-    if isinstance(chosen, AprilGrid) and best.border == BORDER_BITS:
-        return _other_grid(chosen, best)
     return _other_charuco(chosen, best, grays)
 
 
@@ -93,7 +86,6 @@ class _Markers(NamedTuple):
 
     family: str
     inverted: bool
-    border: int
     pictures: list[tuple[Ints, Floats]]  # numbers (k,) and corners (k, 4, 2) px
 
     @property
@@ -119,13 +111,11 @@ def _is_of(dictionary: str, family: str) -> bool:
 
 
 def _families_seen(
-    grays: Sequence[Bytes], families: Sequence[str], inverted: bool, border: int = 1
+    grays: Sequence[Bytes], families: Sequence[str], inverted: bool
 ) -> list[_Markers]:
     """The markers of each family of which enough are seen."""
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.markerBorderBits = border
-    detector = cv2.aruco.ArucoDetector([*map(aruco_dictionary, families)], parameters)
-    found = [_Markers(name, inverted, border, []) for name in families]
+    detector = cv2.aruco.ArucoDetector([*map(aruco_dictionary, families)])
+    found = [_Markers(name, inverted, []) for name in families]
     for gray in grays:
         shown = np.asarray(255 - gray if inverted else gray, np.uint8)
         corners, numbers, _, kinds = detector.detectMarkersMultiDict(shown)
@@ -164,11 +154,6 @@ def _charuco_places(columns: int, legacy: bool) -> Floats:
     """Column and row of the white squares (n, 2) of a board with so many columns."""
     every = np.array([(x, y) for y in range(2 * _MOST_SQUARES) for x in range(columns)])
     return every[every.sum(axis=1) % 2 == (0 if legacy else 1)].astype(np.float64)
-
-
-def _grid_places(columns: int) -> Floats:
-    number = np.arange(columns * 2 * _MOST_SQUARES)
-    return np.column_stack([number % columns, -(number // columns)]).astype(np.float64)
 
 
 def _other_charuco(chosen: Board, seen: _Markers, grays: Sequence[Bytes]) -> OtherBoard:
@@ -249,17 +234,6 @@ def _difference(board: Charuco, other: Charuco) -> str:
     return ", ".join(changed)
 
 
-def _other_grid(chosen: AprilGrid, seen: _Markers) -> OtherBoard | None:
-    """An AprilGrid of other counts."""
-    columns = range(2, _MOST_SQUARES + 1)
-    misfit, wide = min((_misfit(seen.pictures, _grid_places(n), 0), n) for n in columns)
-    tags = wide, -(-int(seen.numbers[-1] + 1) // wide)
-    if misfit > _OFF_GRID or tags == chosen.tags:
-        return None
-    counts = "{}x{} tags seen, {}x{} chosen".format(*tags, *chosen.tags)
-    return OtherBoard(counts, f"write tags = {list(tags)}")
-
-
 def _other_chessboard(
     chosen: Board, grays: Sequence[Bytes], least: tuple[int, int]
 ) -> OtherBoard | None:
@@ -301,21 +275,16 @@ def tag_gap(board: AprilGrid, views: Sequence[tuple[Ints, Floats]]) -> str:
     seen, stated = float(np.median(gaps)) if gaps else board.tag_spacing, board.tag_spacing
     if abs(seen / stated - 1) <= _GAP_OFF:
         return ""
-    unit = next(
-        (f", and {stated:g} is the gap in {name}" for name, length in (("m", 1e3), ("mm", 1.0))
-         if abs(stated * length / (seen * board.tag_mm) - 1) < 2 * _GAP_OFF),
-        "",
-    )  # fmt: skip
     return (
-        f"the gaps between tags are {seen:.3f} times as long as a tag's side, not {stated:g}: "
-        f"tag_spacing is that ratio{unit}: write tag_spacing = {seen:.3f}"
+        f"the gaps between tags are {seen:.3f} times as long as a tag's side, and tag_spacing, "
+        f"{stated:g}, is that ratio, no length in m or mm: write tag_spacing = {seen:.3f}"
     )
 
 
 def _seen_gap(board: AprilGrid, ids: Ints, pixels: Floats) -> float | None:
     """The gap in a picture, in sides of a tag; None where too few tags tell."""
     tags, corners = ids.reshape(-1, 4)[:, 0] // 4, pixels.reshape(-1, 4, 2)
-    flat = _grid_places(board.tags[0])[tags]
+    flat = np.column_stack([tags % board.tags[0], -(tags // board.tags[0])]).astype(np.float64)
     if len(flat) < _FEWEST_PLACED or not np.ptp(flat, axis=0).all():
         return None
     grid = mapped(corners.mean(axis=1), flat, pixels).reshape(-1, 4, 2)

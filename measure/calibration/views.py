@@ -74,18 +74,6 @@ def _to_mend(other: OtherBoard | None) -> str:
     return f"{other.text}: {other.remedy}" if other.remedy else other.text
 
 
-def _other_size(camera: str, name: str, here: tuple[int, int], others: tuple[int, int]) -> str:
-    """Why a picture's size (width, height) is refused."""
-    text = "camera {}: {} is {}x{} px, the others {}x{}".format(camera, name, *here, *others)
-    if here == others[::-1]:
-        way = "upright and the others lie" if here[1] > here[0] else "lying and the others upright"
-        text += (
-            f": it is {way}, as if the camera, or a program, had turned it: turn it back by a "
-            "quarter, the way it was turned, or leave it out: a lens is known in its own picture"
-        )
-    return text
-
-
 def find_views(
     board: boards.Board, pictures: Iterable[tuple[str, Bytes]], camera: str, limit: int = MAX_VIEWS
 ) -> ViewSet:
@@ -98,7 +86,9 @@ def find_views(
     for name, bgr in pictures:
         here = bgr.shape[1], bgr.shape[0]
         if (size := size or here) != here:
-            raise CalibrationError(_other_size(camera, name, here, size))
+            turned = "; was it, or the camera, turned by a quarter? Turn it back, or leave it out"
+            text = f"{name} is {here[0]}x{here[1]} px, the others {size[0]}x{size[1]}"
+            raise CalibrationError(f"camera {camera}: {text}{turned * (here == size[::-1])}")
         gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
         try:
             corners = board.find(gray, name)

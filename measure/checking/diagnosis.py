@@ -325,7 +325,10 @@ def _shift_px(part: _Search) -> float:
 
 
 def _moved(part: _Search) -> _Told:
-    remedy = "was it touched? calibrate it again (`measure calibrate`, or `measure refine`)"
+    remedy = (
+        "was it touched? calibrate it again (`measure calibrate`, or "
+        f"`measure refine SESSION --only {part.hypothesis.of} -o calibration.toml`)"
+    )
     deg, sd = float(np.degrees(part.size)), float(np.degrees(part.sd))
     if part.what == "shift":
         text = (
@@ -360,9 +363,11 @@ def _zoom(part: _Search) -> _Told:
         text = f"{part.who}: its focal length is {amount} off its calibration from {part.since} on"
         return estimate, sd, "%", text, "switch auto-focus and zoom off, and record again"
     text = f"{part.who}: its focal length is {amount} off its calibration"
+    remedy = "was it focused or zoomed, or is another resolution or crop set? calibrate "
     if not part.hypothesis.of:
         text = f"the focal lengths of all cameras are {amount} off their calibration"
-    remedy = "was it focused or zoomed, or is another resolution or crop set? calibrate it"
+        return estimate, sd, "%", text, f"{remedy}them again"
+    remedy += f"it, or `measure refine SESSION --only {part.hypothesis.of} -o calibration.toml`"
     return estimate, sd, "%", text, remedy
 
 

@@ -46,16 +46,22 @@ def refine(
     to: _OutputOptions,
     profile: str = "precise",
     calibration: Path | None = None,
+    only: tuple[str, ...] = (),
     body_tolerance_mm: float | None = None,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
     """Refine a calibration from the moving balls themselves.
 
+    A camera that the others contradict while they agree is freed alone, and said; they stay as they
+    are. What would be shared out among all cameras (a zoom of all, another scale, a ball elsewhere,
+    a camera moved midway) is refused.
+
     Args:
         session: recording in which the body is carried through the whole workspace.
         profile: how to measure the session, by name or TOML file.
         calibration: first calibration, if not the session's own.
+        only: a camera to free, the others held; may be repeated.
         body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact;
             what the body file states, or 0.05, if omitted.
     """
@@ -66,7 +72,7 @@ def refine(
             raise ConfigError(f"--body-tolerance-mm {given:g}: must be 0 or more")
         with console.progress("measuring") as report:
             settings = RefineSettings(given)
-            result = run(session, registry, profile, settings, calibration, report)
+            result = run(session, registry, profile, settings, calibration, report, only)
         write_calibration(file, result.calibration, to.file_format)
         write_body(body, result.body)
     if json:
@@ -100,6 +106,12 @@ def _print(result: RefineResult) -> None:
     for note in result.notes:
         console.print_text(f"note: {note}")
     camera, body = verdict.camera_sd_mm, verdict.body_sd_mm
+    if result.freed:
+        console.print_text(
+            f"{refinement.frames} frame sets; expected body position error from what was freed "
+            f"{body[1]:.3f} mm"
+        )
+        return
     console.print_text(
         f"{refinement.frames} frame sets; camera positions known to {camera[1]:.3f} mm (were "
         f"{camera[0]:.3f} mm); expected body position error from the calibration {body[1]:.3f} mm "

@@ -126,6 +126,31 @@ def test_other_programs_can_have_it(session, tmp_path, monkeypatch) -> None:
         assert np.abs(a.world_from_camera.difference(b.world_from_camera)).max() < 1e-6
 
 
+def test_a_nudged_camera_is_freed_alone(session, tmp_path, monkeypatch, capsys) -> None:
+    """And the others stay as they are."""
+    seen(monkeypatch, moving, 45)
+    true = tuple(CAMERAS.values())
+    nudge = np.array([2.0, -3.0, 3.0, 0.003, 0.002, -0.004])
+    moved = replace(true[2], world_from_camera=true[2].world_from_camera.perturb(nudge))
+    first = Calibration((*true[:2], moved, true[3]))
+    write_calibration(session / "calibration.toml", first)
+    at = [moving(np.array(0.1 * i)) for i in range(45)]
+    for number, more in enumerate([[], ["--only", "cam2"]]):
+        out = tmp_path / f"refined{number}.toml"
+        assert main(["refine", str(session), "-o", str(out), *more]) == 0
+        assert "cam2 alone freed (moved); cam0, cam1, cam3 stay" in capsys.readouterr().out
+        found = read_calibration(out)
+        for k in (0, 1, 3):
+            off = found.cameras[k].world_from_camera.difference(true[k].world_from_camera)
+            assert np.abs(off).max() < 1e-9
+        assert relative_error_mm(found.cameras, true, at) < 0.03
+        assert relative_error_mm(first.cameras, true, at) > 0.1
+        assert found.provenance["freed"] == ["cam2"]
+    for name, said in (("cam9", "did you mean"), ("cam", "did you mean")):
+        assert main(["refine", str(session), "-o", str(tmp_path / "x"), "--only", name]) == 2
+        assert said in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("path", "count", "reason"),
     [
