@@ -22,15 +22,23 @@ from measure.calibration import (
 )
 from measure.calibration.refining.freeing import FreedRig, contradicted, freed
 from measure.calibration.refining.recording import recording_of
-from measure.checking.unknown_body import SeenBall, find_layout, locate, search_bodies, wrong_size
+from measure.checking.unknown_body import (
+    SeenBall,
+    find_layout,
+    left_out,
+    locate,
+    search_bodies,
+    wrong_size,
+)
 from measure.errors import CalibrationError, ConfigError
 from measure.geometry import RigidTransform, align_points
 from measure.host import Registry
 from measure.host.registry import suggestion
-from measure.limits import SPREAD_OVER
+from measure.limits import MAX_STEPS, SPREAD_OVER
 from measure.measuring import Measurement, Profile
 from measure.measuring.association import associate
 from measure.model import BallColor, Body, Camera, Detection
+from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress, quiet
 from measure.session import (
     Calibration,
@@ -215,6 +223,7 @@ class FoundBody:
     frame: str  # where its origin is and how its axes lie, in words
     frame_sets: int  # how many it rests on
     rms_px: float  # of what is left of the balls' centres in the pictures
+    left_out: tuple[str, ...] = ()  # what else was seen, and why it is no ball of the body
 
 
 @dataclass(frozen=True)
@@ -272,10 +281,11 @@ def find_body(
             )
         rough = replace(rough, name="body" if pattern is None else pattern.name)
         try:
-            return _adjusted(opened, rough, pattern, origin, chosen, registry, progress)
+            found = _adjusted(opened, rough, pattern, origin, chosen, registry, progress)
         except CalibrationError as problem:
             told = wrong_size(frames, rough)
             raise CalibrationError(f"{told} ({problem})" if told else str(problem)) from None
+        return replace(found, left_out=left_out(frames, every, rough.names))
 
 
 def _of_size(body: Body, radius_mm: float) -> Body:
@@ -349,10 +359,12 @@ def _adjusted(
     )
     distances = _distances(sized.names, refined.centers, refined.center_covariance)
     variance = np.mean([sd**2 for _, sd in distances.values()])
-    place, words = _frame(refined.centers, sized.names, pattern, origin)
+    place, words = _frame(refined.centers, sized.names, pattern, origin, distances)
+    # Digits that say nothing only disturb who edits the file by hand; nor does a zero have a sign.
+    centers = np.round(place.inverse().apply(refined.centers), 4) + 0.0
     body = replace(
-        _of_size(sized, rough.radii[0]).with_centers(place.inverse().apply(refined.centers)),
-        tolerance_mm=float(np.sqrt(variance / 2)),
+        _of_size(sized, rough.radii[0]).with_centers(centers),
+        tolerance_mm=round(float(np.sqrt(variance / 2)), 4),
     )
     rms = float(np.sqrt(np.mean([after**2 for _, after in refined.rms_px.values()])))
     sds = np.sqrt(np.diag(sized.radius_covariance)).tolist()
@@ -376,16 +388,21 @@ def _distances(
 
 
 def _frame(
-    centers: Floats, names: tuple[str, ...], pattern: Body | None, origin: str | None
+    centers: Floats,
+    names: tuple[str, ...],
+    pattern: Body | None,
+    origin: str | None,
+    distances: Mapping[tuple[str, str], tuple[float, float]],
 ) -> tuple[RigidTransform, str]:
     """The frame of the new body, in that of `centers`, and in words."""
     at = centers.mean(axis=0) if origin is None else centers[names.index(origin)]
     where = "the balls' centroid" if origin is None else f"ball {origin}"
     if pattern is not None:
-        like = align_points(centers, pattern.centers_of(names))
+        like, fitted = _frame_like(centers, names, pattern, distances)
         if origin is None:
-            return like, "origin and axes of the body it is like, fitted to all balls"
-        return RigidTransform(like.rotation, at), f"origin at {where}, axes of the body it is like"
+            return like, f"origin and axes of the body it is like, {fitted}"
+        words = f"origin at {where}, axes of the body it is like, {fitted}"
+        return RigidTransform(like.rotation, at), words
     x = (centers[1] - centers[0]) / np.linalg.norm(centers[1] - centers[0])
     normals = np.cross(x, centers - centers[0])
     third = int(np.argmax(np.linalg.norm(normals, axis=1)))
@@ -395,3 +412,51 @@ def _frame(
         f"of these and {names[third]}, towards it"
     )
     return RigidTransform(np.stack([x, np.cross(z, x), z], axis=1), at), words
+
+
+_OFF_SIGMAS, _OFF_MM = 4.0, 0.1  # By which a distance differs from the file's, at least
+
+
+def _frame_like(
+    centers: Floats,
+    names: tuple[str, ...],
+    pattern: Body,
+    distances: Mapping[tuple[str, str], tuple[float, float]],
+) -> tuple[RigidTransform, str]:
+    """The frame in which balls lie as in a file, by those that agree among each other; in words.
+
+    One ball that does not is put where its distances from the others say, as near as can be to
+    where the file has it: that place holds the frame of three balls, too.
+    """
+    stated = pattern.centers_of(names)
+    known = max(pattern.tolerance_mm, USUAL_RADIUS_TOLERANCE_MM)
+    off = {}
+    for (a, b), (mm, sd) in distances.items():
+        filed = float(np.linalg.norm(stated[names.index(a)] - stated[names.index(b)]))
+        off[a, b] = abs(filed - mm) > max(_OFF_SIGMAS * float(np.hypot(sd, known)), _OFF_MM)
+    alone = [name for name in names if not any(o for pair, o in off.items() if name not in pair)]
+    whole = align_points(centers, stated)
+    if not any(off.values()):
+        return whole, "fitted to all balls"
+    if len(alone) != 1:
+        apart = np.linalg.norm(whole.inverse().apply(centers) - stated, axis=1).max()
+        return whole, (
+            f"fitted to all balls, which lie up to {apart:.2f} mm from where that file says: their "
+            "distances do not tell which of them is off, and the frame may be off as much"
+        )
+    k, others = names.index(alone[0]), [n != alone[0] for n in names]
+    lengths = np.linalg.norm(centers[others] - centers[k], axis=1)
+    place = stated[k]
+    for _ in range(MAX_STEPS):  # Gauss-Newton, the shortest step of those that will do
+        ways = place - stated[others]
+        now = np.linalg.norm(ways, axis=1)
+        place = place + np.linalg.pinv(ways / now[:, None]) @ (lengths - now)
+    mended = stated.copy()
+    mended[k] = place
+    like = align_points(centers, mended)
+    moved = np.linalg.norm(like.inverse().apply(centers) - whole.inverse().apply(centers), axis=1)
+    return like, (
+        f"fitted to {', '.join(n for n in names if n != alone[0])}: {alone[0]} lies "
+        f"{np.linalg.norm(place - stated[k]):.2f} mm from where that file says (fitted to it, too, "
+        f"the frame would have moved by up to {moved.max():.2f} mm)"
+    )

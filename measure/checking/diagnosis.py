@@ -426,7 +426,14 @@ def _place(part: _Search) -> _Told:
         f"ball {part.hypothesis.of} is not where the body file says, but {part.size:.2f} +- "
         f"{part.sd:.2f} mm from there"
     )
-    return part.size, part.sd, "mm", text, "correct its place in the body file, or fix the ball"
+    evidence, ball = part.evidence, part.evidence.body.index(part.hypothesis.of)
+    moved = (part.hypothesis.basis @ part.values)[evidence.place(ball)]
+    x, y, z = np.round(evidence.body.centers[ball] + moved, 2) + 0.0
+    remedy = (
+        "correct its place in the body file, or fix the ball (center_mm of "
+        f"{part.hypothesis.of}: ({x:.2f}, {y:.2f}, {z:.2f}) +- {part.sd:.2f})"
+    )
+    return part.size, part.sd, "mm", text, remedy
 
 
 def _exchanged(part: _Search) -> _Told:

@@ -29,7 +29,7 @@ _SEARCHED = (
     "colours of other balls"
 )
 _RANGE_RATIO = 2.5
-_FEWEST_FRAMES = 6
+_FEWEST_FRAMES, _FEWEST_SEEN = 6, 3  # Frame sets in which a ball of the body, and a thing, is seen
 _LEAST_SHARE = 0.3  # Of the frame sets, in which a ball must be located
 _ALIKE = 0.2  # Relative difference of outlines up to which they are of balls of one size
 _RIGID_RADII = 0.1  # Scatter of a distance, in radii, up to which it counts as constant
@@ -134,7 +134,7 @@ def find_layout(frames: Sequence[Mapping[str, SeenBall]], body: Body, *, pick: b
     if len(seen) < 3:
         raise SessionError(
             f"{_listed(seen)} seen by several cameras in {often:.0f} or more of {len(frames)} "
-            f"frame sets, but a body needs 3 balls{_SEARCHED if pick else ''}"
+            f"frame sets, but a body needs 3 balls{_paint(frames, seen)}{_SEARCHED if pick else ''}"
         )
     alone = {n: np.mean([f[n].alone for f in frames if n in f]) for n in seen}
     if twice := [n for n in seen if pick and 1 - alone[n] > _TWINS]:
@@ -150,6 +150,34 @@ def find_layout(frames: Sequence[Mapping[str, SeenBall]], body: Body, *, pick: b
         )
     _check_size(frames, group, body)
     return _laid_out(frames, group, body)
+
+
+def left_out(
+    frames: Sequence[Mapping[str, SeenBall]], body: Body, kept: Sequence[str]
+) -> tuple[str, ...]:
+    """Colours that are seen but are no ball of the layout, each with the reason, in words."""
+    out = []
+    usual = float(np.median([f[n].radius_mm for f in frames for n in kept if n in f]))
+    for name in (name for name in body.names if name not in kept):
+        own = [f for f in frames if name in f]
+        near = [np.linalg.norm(f[name].center - f[n].center) for f in own for n in kept if n in f]
+        if len(own) < _FEWEST_SEEN or min(near, default=np.inf) < body.radii[0]:
+            continue  # chance, or what another colour sees better
+        radius = float(np.median([f[name].radius_mm for f in own]))
+        apart = max(_apart(frames, name, n)[1] for n in kept)
+        why = f"in {len(own)} of {len(frames)} frame sets only"
+        if abs(radius / usual - 1) >= _ALIKE:
+            why = f"its radius looks like {radius:.1f} mm, the others' like {usual:.1f} mm"
+        elif np.isfinite(apart) and apart >= _RIGID_RADII * body.radii.max():
+            why = f"its distances from the others change by {apart:.1f} mm"
+        out.append(f"{name} is seen, but left out: {why}")
+    return tuple(out)
+
+
+def _paint(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str]) -> str:
+    """What to do about two balls of one colour, the likeliest reason for one too few."""
+    twice = [n for n in names if np.mean([not f[n].alone for f in frames if n in f]) > _TWINS]
+    return f"; two balls look {twice[0]}: paint one of them in another colour" if twice else ""
 
 
 def _distinct(frames: Sequence[Mapping[str, SeenBall]], body: Body) -> list[str]:

@@ -35,7 +35,7 @@ def body(
     """
     with api.output(out, overwrite) as file, console.progress("looking") as progress:
         found = api.find_body(session, registry, search, progress)
-        write_body(file, found.body)
+        write_body(file, found.body, comment=f"by `measure body`; {_words(found)}")
     if json:
         _print_json(found, out)
     else:
@@ -54,6 +54,7 @@ def _print_json(found: api.FoundBody, out: Path) -> None:
         "rms_px": found.rms_px,
         "tolerance_mm": found.body.tolerance_mm,
         "seen_radii_mm": found.seen_radii,
+        "left_out": found.left_out,
         "distances": [dict(zip(_COLUMNS, row, strict=True)) for row in _distances(found)],
     }
     console.print_json(values)
@@ -61,9 +62,14 @@ def _print_json(found: api.FoundBody, out: Path) -> None:
 
 def _print(found: api.FoundBody, out: Path) -> None:
     console.print_table(_COLUMNS, _distances(found))
-    console.print_text(f"frame: {found.frame}")
-    console.print_text(
-        f"wrote {out}: {len(found.body.balls)} balls from {found.frame_sets} frame sets, each "
-        f"coordinate known to {found.body.tolerance_mm:.3f} mm, reprojection error "
-        f"{found.rms_px:.2f} px RMS"
+    for line in found.left_out:
+        console.print_text(line)
+    console.print_text(f"wrote {out}: {_words(found)}")
+
+
+def _words(found: api.FoundBody) -> str:
+    return (
+        f"{len(found.body.balls)} balls from {found.frame_sets} frame sets, each coordinate known "
+        f"to {found.body.tolerance_mm:.3f} mm, reprojection error {found.rms_px:.2f} px RMS; "
+        f"frame: {found.frame}"
     )

@@ -49,7 +49,11 @@ def calibrate(
         ("camera", "f_px", "position_sd_mm", "rotation_sd_deg", "rms_px"),
         camera_rows(result.rig.cameras),
     )
+    notes = [str(f) for f in result.verdict.findings if f.level == "note" and f.topic == "lens"]
     for line in result.lines():
-        console.print_text(line)
+        if line not in notes:
+            console.print_text(line)
     console.print_text(f"wrote {out} and {page}")
+    if notes:
+        console.print_text(f"{len(notes)} notes on lenses ask for nothing: {page} lists them")
     return code

@@ -183,11 +183,14 @@ def write_bodies(path: Path | str, bodies: Sequence[Body]) -> None:
 
 
 def write_body(
-    path: Path | str, body: Body, samples_bgr: Mapping[str, Bytes] | None = None
+    path: Path | str, body: Body, samples_bgr: Mapping[str, Bytes] | None = None, comment: str = ""
 ) -> None:
-    """Write a body file; learnt colours become ranges, or `samples_bgr` (n, 3), by ball."""
-    values = _body_values(body, samples_bgr or {})
-    Path(path).write_text(dump_toml(values), encoding="utf-8")
+    """Write a body file; learnt colours become ranges, or `samples_bgr` (n, 3), by ball.
+
+    A `comment` is its first line.
+    """
+    text = dump_toml(_body_values(body, samples_bgr or {}))
+    Path(path).write_text(f"# {comment}\n{text}" if comment else text, encoding="utf-8")
 
 
 def _body_values(body: Body, samples_bgr: Mapping[str, Bytes]) -> dict[str, Any]:

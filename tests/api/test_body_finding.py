@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from measure.api.refining import _frame_like
 from measure.checking.unknown_body import (
     PALETTES,
     find_layout,
+    left_out,
     locate,
     probe,
     search_bodies,
@@ -19,6 +22,7 @@ from measure.checking.unknown_body import (
 from measure.cli.app import main
 from measure.errors import SessionError
 from measure.estimation.body_layout import looks_mirrored
+from measure.geometry import RigidTransform
 from measure.model import BallColor
 from measure.session import read_body
 from tests.scenes import FOUR, RAVEN, a_pose, ring, see
@@ -134,3 +138,51 @@ def test_a_session_without_a_body_gives_one_within_its_uncertainty(still, tmp_pa
     words = ["body", str(session), "--radius-mm", "20", "--like", str(tmp_path / "known.toml")]
     assert main([*words, "-o", str(aligned)]) == 0
     np.testing.assert_allclose(read_body(aligned).centers, truth.centers, atol=0.1)
+
+
+def _as_measured(body, name, by):
+    """Centres in the world, the file's body, and distances, where the file has a ball elsewhere."""
+    place = RigidTransform.from_rotvec([0.3, -0.5, 0.2], [40.0, -20.0, 250.0])
+    filed = body.centers.copy()
+    filed[body.index(name)] += by
+    pairs = {pair: (mm, 0.03) for pair, mm in body.distances().items()}
+    return place.apply(body.centers), body.with_centers(filed), pairs
+
+
+@pytest.mark.parametrize(
+    ("body", "name", "by"),
+    [
+        (RAVEN, "yellow", [0, 3, 0]),
+        (FOUR, FOUR.names[1], [1, 2, -2]),
+        (FOUR, FOUR.names[3], [-3, 0, 1]),
+    ],
+)
+def test_one_ball_that_a_file_has_elsewhere_moves_no_frame(body, name, by) -> None:
+    centers, filed, distances = _as_measured(body, name, np.array(by, dtype=float))
+    like, words = _frame_like(centers, body.names, filed, distances)
+    np.testing.assert_allclose(like.inverse().apply(centers), body.centers, atol=1e-6)
+    others = ", ".join(n for n in body.names if n != name)
+    assert f"fitted to {others}: {name} lies {np.linalg.norm(by):.2f} mm from where" in words
+
+
+def test_a_frame_is_fitted_to_all_where_they_agree_or_nothing_tells() -> None:
+    centers, filed, distances = _as_measured(RAVEN, "yellow", np.zeros(3))
+    like, words = _frame_like(centers, RAVEN.names, filed, distances)
+    np.testing.assert_allclose(like.inverse().apply(centers), RAVEN.centers, atol=1e-6)
+    assert words == "fitted to all balls"
+    centers, filed, distances = _as_measured(RAVEN, "yellow", np.array([2.0, 2.0, 0.0]))
+    filed = filed.with_centers(filed.centers + np.array([[0, 1.5, 0], [0, 0, 0], [-2.0, 0, 0]]))
+    _, words = _frame_like(centers, RAVEN.names, filed, distances)
+    assert "their distances do not tell which of them is off" in words
+
+
+def test_what_is_seen_but_no_ball_of_the_body_is_said():
+    frames, searched = seen_frames(RAVEN, 20.0)
+    off = [np.array([0.0, 0.0, 90 + 9 * i % 50]) for i in range(len(frames))]
+    white = [
+        f | {"white": replace(f["red"], center=f["red"].center + by)}
+        for f, by in zip(frames, off, strict=True)
+    ]
+    (said,) = left_out(white, searched, RAVEN.names)
+    assert "white is seen, but left out: its distances from the others change by" in said
+    assert left_out(frames, searched, RAVEN.names) == ()
