@@ -77,6 +77,7 @@ class Recording:
 
 def sources() -> dict[str, Callable[[], Path]]:
     """What makes each recording, or finds it, by name."""
+    own: dict[str, Callable[[], Path]]
     own = {s.name: partial(rendered, s, np.arange(SETS) / HZ) for s in scenes()}
     beside = recordings_beside()
     return own | {

@@ -219,7 +219,8 @@ def encoded(codec: str, crf: int) -> Change:
         path = folder / "session.toml"
         text = path.read_text()
         for where in sorted(one for one in folder.iterdir() if one.is_dir()):
-            images = [cv2.imread(str(file)) for file in sorted(where.glob("*.jpg"))]
+            files = sorted(where.glob("*.jpg"))
+            images = [np.asarray(cv2.imread(str(file)), np.uint8) for file in files]
             with av.open(str(folder / f"{where.name}.mp4"), "w") as video:
                 how = {"crf": str(crf), "preset": "veryfast", "x265-params": "log-level=none"}
                 if codec != "libx265":
@@ -240,7 +241,12 @@ def encoded(codec: str, crf: int) -> Change:
 def grainy(levels: float, seed: int) -> Change:
     """Noise of so many levels, another in each picture."""
     rng = np.random.default_rng(seed)
-    return pictures(lambda images, k: images[k] + rng.normal(0, levels, images[k].shape))
+
+    def changed(images: list[Bytes], place: int) -> Bytes:
+        noisy = images[place] + rng.normal(0, levels, images[place].shape)
+        return np.clip(noisy, 0, 255).astype(np.uint8)
+
+    return pictures(changed)
 
 
 def _from_the_middle(change: Callable[[Bytes], Bytes]) -> Callable[[list[Bytes], int], Bytes]:

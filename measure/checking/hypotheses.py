@@ -50,7 +50,7 @@ class Hypothesis(NamedTuple):
 
     def profile(self, times_s: Floats) -> Floats:
         """How much of each of its parameters holds (k, q) at instants (k,)."""
-        out = np.ones((len(times_s), self.basis.shape[1]))
+        out: Floats = np.ones((len(times_s), self.basis.shape[1]))
         out[: self.since or 0] = 0.0
         if self.wanders:
             count = out.shape[1] // len(times_s)
