@@ -190,6 +190,7 @@ def add(bench: Bench) -> None:
                     )
                     told(making.figures, "figure digits", "data-body")
                     told(lambda: _judgement(making), "hint")
+                    told(lambda: "\n".join(making.found.left_out if making.found else ()), "lines")
             with suppress(MeasureError):  # too few colours are left, which was told then
                 making.look(like(), is_new=making.is_changed)
 
