@@ -50,11 +50,11 @@ class Hypothesis(NamedTuple):
 
     def profile(self, times_s: Floats) -> Floats:
         """How much of each of its parameters holds (k, q) at instants (k,)."""
-        out: Floats = np.ones((len(times_s), self.basis.shape[1]))
+        out = np.ones((len(times_s), self.basis.shape[1]))
         out[: self.since or 0] = 0.0
         if self.wanders:
             count = out.shape[1] // len(times_s)
-            out = np.kron(np.eye(len(times_s)), np.ones((1, count)))
+            out = np.asarray(np.kron(np.eye(len(times_s)), np.ones((1, count))), np.float64)
         if self.drifts:
             out[:, -1] = times_s - np.mean(times_s)
         return out
