@@ -294,6 +294,44 @@ def sampled_color(pixels: Bytes, ball: model.Ball, at: tuple[float, float]) -> S
     return _representative(found)
 
 
+def clicked_color(pixels: Bytes, at: tuple[float, float], name: str = "ball") -> Samples:
+    """Samples of the colour of whatever ball lies at a pixel (u, v) of a picture (h, w, 3).
+
+    Raises:
+        ConfigError: nothing there is as round as a ball; or it is grey or black.
+    """
+    row, column = (
+        round(min(max(x, 0), size - 1)) for x, size in zip(at[::-1], pixels.shape[:2], strict=True)
+    )
+    white = model.BallColor.named("white")
+    is_white = bool(white.matches(pixels[row, column][None])[0])
+    color = white if is_white else model.BallColor.named("red")
+    return sampled_color(pixels, model.Ball(name, color, np.zeros(3), 1.0), at)
+
+
+def learnt_colors(texts: Iterable[str]) -> dict[str, model.BallColor]:
+    """Colours of balls by name, from texts NAME=PICTURE:U,V: a pixel on the ball in a picture.
+
+    Raises:
+        ConfigError: a text is of another form, or no ball lies there.
+        MeasureError: a picture cannot be read.
+    """
+    samples: dict[str, list[Samples]] = {}
+    for text in texts:
+        name, _, rest = text.partition("=")
+        picture, _, place = rest.rpartition(":")
+        form = "NAME=PICTURE:U,V, such as white=SESSION/cam0/000000.jpg:588,358 (in px)"
+        _, (u, v) = numbers_of(f"{name}={place}", "--sample", form, 2)
+        if not picture:
+            raise ConfigError(f"--sample {text}: expected {form}")
+        samples.setdefault(name, []).append(
+            clicked_color(read_picture(Path(picture)), (u, v), name)
+        )
+    return {
+        name: model.BallColor.from_samples(np.concatenate(some)) for name, some in samples.items()
+    }
+
+
 def _is_round(inside: Bools) -> bool:
     """Whether a connected patch, its holes filled, is as round as a ball and large enough."""
     if np.count_nonzero(inside) < _FEWEST:

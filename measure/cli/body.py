@@ -19,6 +19,7 @@ def body(
     /,
     *,
     search: Annotated[api.BodySearch, FIELDS],
+    sample: tuple[str, ...] = (),
     out: OutFile,
     overwrite: Overwrite = False,
     json: JsonFlag = False,
@@ -31,10 +32,13 @@ def body(
 
     Args:
         session: the recording; it needs no body file, and one that it names is not read.
+        sample: NAME=PICTURE:U,V, the colour of a ball that is not found by itself: a pixel on it in
+            a picture of the recording. It is searched beside the common colours. May be repeated.
         out: the body file to write.
     """
+    learnt = api.learnt_colors(sample)
     with api.output(out, overwrite) as file, console.progress("looking") as progress:
-        found = api.find_body(session, registry, search, progress)
+        found = api.find_body(session, registry, search, progress, learnt=learnt)
         write_body(file, found.body, comment=f"by `measure body`; {_words(found)}")
     if json:
         _print_json(found, out)

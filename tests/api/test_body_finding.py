@@ -6,9 +6,11 @@ import json
 import shutil
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+from measure import api
 from measure.api.refining import _frame_like
 from measure.checking.unknown_body import (
     PALETTES,
@@ -20,7 +22,7 @@ from measure.checking.unknown_body import (
     wrong_size,
 )
 from measure.cli.app import main
-from measure.errors import SessionError
+from measure.errors import ConfigError, SessionError
 from measure.estimation.body_layout import looks_mirrored
 from measure.geometry import RigidTransform
 from measure.model import BallColor
@@ -186,3 +188,17 @@ def test_what_is_seen_but_no_ball_of_the_body_is_said():
     (said,) = left_out(white, searched, RAVEN.names)
     assert "white is seen, but left out: its distances from the others change by" in said
     assert left_out(frames, searched, RAVEN.names) == ()
+
+
+def test_the_colour_of_a_ball_is_learnt_from_a_pixel_on_it(tmp_path):
+    picture = np.full((240, 320, 3), 90, np.uint8)
+    teal = (150, 140, 20)
+    cv2.circle(picture, (100, 80), 30, teal, -1)
+    cv2.imwrite(str(tmp_path / "a.png"), picture)
+    colors = api.learnt_colors([f"lid={tmp_path / 'a.png'}:100,80"])
+    assert colors["lid"].matches(np.array([teal])).all()
+    assert not colors["lid"].matches(np.array([[30, 30, 200]])).any()
+    with pytest.raises(ConfigError, match="--sample lid=200,200: no ball-like patch"):
+        api.learnt_colors([f"lid={tmp_path / 'a.png'}:200,200"])
+    with pytest.raises(ConfigError, match="expected NAME=PICTURE:U,V"):
+        api.learnt_colors(["lid=100,80"])

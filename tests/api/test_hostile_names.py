@@ -251,9 +251,10 @@ NAMELESS = {
 READS = {
     "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "camera_line",
     "camera_names", "cameras", "check", "choose", "compare", "contents_of", "described", "detect",
-    "drawings", "evaluate", "evaluation_tables", "events", "find_target", "inside",
-    "load_profile", "measure_bodies", "measure_session", "measured_urdf", "model_file",
-    "next_free", "other_board", "own_board", "recordings_in", "trail_of", "parse_cameras",
+    "clicked_color", "drawings", "evaluate", "evaluation_tables", "events", "find_target",
+    "inside", "learnt_colors", "load_profile", "measure_bodies", "measure_session",
+    "measured_urdf", "model_file", "next_free", "other_board", "own_board", "recordings_in",
+    "trail_of", "parse_cameras",
     "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
     "parse_size", "play", "play_cameras", "profile_names", "read_board", "read_body",
     "read_calibration", "read_trajectory", "register", "relative_measurements", "rests",

@@ -13,7 +13,7 @@ import numpy as np
 from measure import api
 from measure.arrays import Bytes
 from measure.errors import ConfigError
-from measure.model import Ball, BallColor, Body
+from measure.model import BallColor, Body
 from measure.model.color import HUE_PERIOD
 from measure.processes import Progress, quiet
 from measure.reading import parse_toml, read_text
@@ -68,14 +68,7 @@ class BallColors:
             pixels: a picture BGR (h, w, 3).
             at: where it was clicked, px.
         """
-        row, column = (
-            round(min(max(x, 0), size - 1))
-            for x, size in zip(at[::-1], pixels.shape[:2], strict=True)
-        )
-        white = BallColor.named("white")
-        is_white = bool(white.matches(pixels[row, column][None])[0])
-        clicked = Ball("ball", white if is_white else BallColor.named("red"), np.zeros(3), 1.0)
-        samples = api.sampled_color(pixels, clicked, at)
+        samples = api.clicked_color(pixels, at)
         shares = {
             ball: float(np.mean(color.matches(samples))) for ball, color in self.colors.items()
         }
