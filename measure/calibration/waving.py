@@ -174,10 +174,11 @@ class BoardWave:
     def look_closer(self, grays: Sequence[Bytes]) -> None:
         """See whether pictures (h, w) of one instant show another board, which is then said.
 
-        It takes a second or two, and so looks at one of them, at another one each time.
+        It takes a second or two, and so looks at one of them, at another one each time; what was
+        seen holds till the chosen board is.
         """
         turn = (self._unseen_looks // _CLOSER_LOOKS).bit_length() - 1
-        self._other = other_board(self.board, [grays[turn % len(grays)]])
+        self._other = other_board(self.board, [grays[turn % len(grays)]]) or self._other
 
     def state(self) -> WaveState:
         """How far it is."""

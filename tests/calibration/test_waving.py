@@ -265,7 +265,7 @@ def test_a_board_that_is_never_found_is_asked_about():
     assert wave.state().advice[0] == asked
 
 
-def test_another_board_than_the_chosen_one_is_said():
+def test_another_board_is_said_till_the_chosen_one_is_seen(rng):
     wave, shown = wave_of(), Charuco((9, 6), 25.0, 18.0)
     picture = shown.pattern.generateImage((400, 280), marginSize=20)
     for number in range(10):
@@ -277,6 +277,9 @@ def test_another_board_than_the_chosen_one_is_said():
     assert wave.state().advice[0] == said
     assert wave.state().other.board.squares == (10, 7)
     wave.look_closer([np.full((200, 300), 200, np.uint8)])
+    assert wave.state().advice[0] == said
+    wave.add(seen(1.0, rng), at_once(NAMES, 2.0))
+    assert wave.state().other is None
     assert said not in wave.state().advice
 
 
