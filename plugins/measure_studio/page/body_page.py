@@ -95,6 +95,11 @@ class _Making:
             api.write_body(self.out, self.colors.named(self.found).body)
             self.bench.keep(self.out, before)
 
+    def forget(self, like: Path | None) -> None:
+        """The file is no longer of what was found last: its figures go."""
+        self.found = None
+        self.look(like)
+
     def measure(self, like: Path | None, calibration: Path | None) -> None:
         """Record the body while it is turned about, and locate its balls; it waits its turn."""
         bench, radius_mm = self.bench, self.radius_mm
@@ -213,7 +218,7 @@ def _settings(bench: Bench, making: _Making) -> Callable[[], Path | None]:
             primary=True,
         )
         again = act("Search the recording again", "refresh", lambda: making.search_again(like()))
-        undo(bench, lambda: making.out)
+        undo(bench, lambda: making.out, lambda: making.forget(like()))
         for label, value in (("Radius of the balls, mm", "radius_mm"), ("Seconds", "seconds")):
             ui.number(label, min=0.1).bind_value(making, value).classes("field")
     with details("More: names and colours of a body file, calibration"), ui.row().classes("line"):
@@ -297,8 +302,14 @@ def _camera(bench: Bench, making: _Making, like: Callable[[], Path | None], name
         if said := await tried(lambda: making.pick(like(), name, (u, v))):
             tell(said, "positive")
 
-    card = camera_card(bench, name, line=lambda: f"{name}: {_balls(bench, name)}")
+    card = camera_card(bench, name, line=lambda: _line(bench, name))
     card.on("click", click, js_handler="(e) => e.target.naturalWidth && emit(...sharesOf(e))")
+
+
+def _line(bench: Bench, name: str) -> str:
+    """What a camera sees, or why it delivers nothing."""
+    said = bench.problem(name) or _balls(bench, name)
+    return said if name in said else f"{name}: {said}"
 
 
 def _balls(bench: Bench, name: str) -> str:

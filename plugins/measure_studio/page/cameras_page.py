@@ -205,7 +205,9 @@ def _told(bench: Bench, name: str) -> dict[str, tuple[str, str]]:
         away = f"away {often} times" if often > 1 else "away once" if often else "never away"
         told["drops"] = f"{away}, {count.refused} torn pictures", lost
         looked = bench.looks and bench.preview.has_looked(name)
-        none = "none" if looked else "..." if bench.searched else "choose a body under More"
+        none = "none" if looked else "choose a body under More"
+        if bench.searched and not looked:
+            none = "..." if state == "live" else ""
         told["balls"] = ", ".join(balls) or none, ""
     facts = bench.preview.facts(name)
     return told if facts is None else told | _judged(facts)

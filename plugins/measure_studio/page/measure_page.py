@@ -10,6 +10,7 @@ from datetime import datetime
 from functools import partial
 from html import escape
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import numpy as np
@@ -97,7 +98,13 @@ class _Live:
 
         def work(job: Job) -> str:
             self._forget()
-            recorded = bench.record(job, session, self.seconds, calibration, bodies)
+            try:
+                recorded = bench.record(job, session, self.seconds, calibration, bodies)
+            finally:
+                if not any(session.glob("*/*.jpg")):
+                    rmtree(session, ignore_errors=True)
+            if not session.is_dir():
+                return "stopped: no picture was recorded"
             self.session = session
             pictures = sum(count.pictures for count in recorded.cameras.values())
             return f"{session.name}: {pictures} pictures of {len(recorded.cameras)} cameras"
@@ -125,6 +132,7 @@ class _Live:
             self.rests = {body.name: lab.RestsSoFar(body, rig) for body in read}
             with ExitStack() as stack:
                 stack.callback(setattr, bench, "viewer", "")
+                stack.callback(self._drop_empty, run, options.record)
                 stack.callback(setattr, self, "goes_on", False)
                 self.goes_on = True
                 made = replace(options, stop=job.stop)
@@ -141,8 +149,11 @@ class _Live:
                     options=made,
                     on_state=self._hear,
                 ).summary
+            if self.run is None:
+                return "stopped: nothing was measured"
             self.ended = Ended(run.name, summary.ok, summary.frame_sets, time.monotonic() - begun_s)
-            self.session, self.report = options.record, lab.report(run)
+            self.session = options.record
+            self.report = lab.report(run)
             return f"{run.name}: {self.ended.share}"
 
         bench.begin(f"measuring {run.name}", work, needs_cameras=True)
@@ -151,6 +162,13 @@ class _Live:
         """Something new begins."""
         self.run, self.session, self.report, self.state = None, None, None, None
         self.ended, self.findings, self.compared, self.view = None, None, "", None
+
+    def _drop_empty(self, run: Path, record: Path | None) -> None:
+        """Delete a run in which nothing was measured, and what was recorded for it."""
+        if self.state is None:
+            self.run = self.view = None
+            for folder in filter(None, (run, record)):
+                rmtree(folder, ignore_errors=True)
 
     def _next(self, stem: str) -> Path:
         return self.bench.folder / studio_api.next_free(self.bench.folder, stem)
