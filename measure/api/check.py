@@ -319,6 +319,10 @@ class _Looking:
         certain = any(cause.cause in _FIRST_OF_ALL for cause in causes)
         measured = [] if certain else self._measured(searched, duplicates)
         self._leave_out(searched, every, [self._repeated_in(own, duplicates) for own in numbers])
+        every = [
+            seen if one.reflection is None else one.reflection.left_out_of(seen)
+            for seen, one in zip(every, searched, strict=True)
+        ]
         body, cameras = session.body, session.cameras
         shape = check_body([locate_balls(seen, body, cameras) for seen in every], body)
         motion, diagnosis = MotionCheck(), Diagnosis()

@@ -17,7 +17,7 @@ from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 
 _MIN_SEEN_SHARE = 0.5
-_MAX_CHANCE_SHARE = 0.1  # Share of frame sets with evidence of a second body that may be chance
+_MAX_CHANCE_SHARE = 0.1  # Of frame sets with evidence of a second body, or of a reflection
 _MIN_ANGLE_DEG = 20.0
 _GRID = (-1.0, 0.0, 1.0)
 
@@ -55,6 +55,10 @@ def coverage_findings(
     if len(flagged) > _MAX_CHANCE_SHARE * len(samples):  # a second body may be in view
         text = f"{flagged[0]} (so in {len(flagged)} of {len(samples)} frame sets looked at)"
         findings.append(Finding(Level.WRONG if true_colors else Level.WEAK, "balls", text))
+    reflections = [s.reflection for s in samples if s.reflection is not None]
+    if len(reflections) > _MAX_CHANCE_SHARE * len(samples):
+        text = f"{reflections[0]} (so in {len(reflections)} of {len(samples)} frame sets looked at)"
+        findings.append(Finding(Level.NOTE, "balls", text))
     for row in table:
         if row.camera not in disagreeing and row.seen < _MIN_SEEN_SHARE * row.expected:
             text = (

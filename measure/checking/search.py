@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
-from measure.measuring.association import associate
+from measure.measuring.association import Reflection, associate
 from measure.model import Body, Camera, Detection
 
 _RADIUS_RATIO = 1.25
@@ -32,6 +32,7 @@ class SearchSample:
     flags: tuple[str, ...] = ()
     # those that see balls, but none where the body should appear.
     disagreeing_cameras: tuple[str, ...] = ()
+    reflection: Reflection | None = None  # the body's mirror image, which is left out
     # (6,) in the pose's `perturb` chart, per second; zero if unknown.
     velocity: Floats = field(default_factory=lambda: np.zeros(6))
 
@@ -87,6 +88,8 @@ def search_sample(
     found = associate(body, cameras, detections)
     if found.world_from_body is None:
         return SearchSample(time_s, None, (), (), found.reason)
+    if found.reflection is not None:
+        detections = found.reflection.left_out_of(detections)
     centers = found.world_from_body.apply(body.centers)
     nearest: list[Detection] = []
     for camera in cameras:
@@ -110,4 +113,5 @@ def search_sample(
         "",
         found.flags,
         found.disagreeing,
+        found.reflection,
     )

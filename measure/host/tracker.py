@@ -27,10 +27,10 @@ Review = Callable[[Mapping[str, Sequence[Detection]]], None]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Conclusion:
-    """An accepted pose, perhaps with flags added, or None and the reason in words."""
+    """An accepted pose, perhaps with flags added and a note, or None and the reason in words."""
 
     pose: Pose | None  # accepted
-    reason: str = ""  # why there is none
+    reason: str = ""  # why there is none; with a pose, a note that is no doubt of it
 
 
 class Tracker(Plugin):

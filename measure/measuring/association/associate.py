@@ -27,7 +27,8 @@ from measure.measuring.association.hypotheses import (
     poses_from_triples,
     score_poses,
 )
-from measure.measuring.association.second_body import second_body_flags
+from measure.measuring.association.reflection import Reflection, find_reflection
+from measure.measuring.association.second_body import second_body_flags, unexplained
 from measure.model import Body, Camera, Detection, Rig
 
 _SIGMAS = 3.5  # Candidates agree with a pose within this many standard deviations
@@ -61,6 +62,8 @@ class Association:
     flags: tuple[str, ...] = ()
     # cameras that see two or more balls well, but none where the body found should appear
     disagreeing: tuple[str, ...] = ()
+    # the mirror image of the body, which is left out; None without one.
+    reflection: Reflection | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +104,19 @@ def _associated(
     problem = _AssociationProblem(body, cameras, candidates)
     points = [intersect_rays(c, _SIGMAS, _RANGE_RATIO, _MAX_POINTS) for c in candidates]
     for propose in (poses_from_triples, poses_from_pairs):
-        found = _best(problem, propose(body, points, _SIGMAS))
-        if found is None:
+        rivals = _best(problem, propose(body, points, _SIGMAS))
+        if not rivals:
             continue
-        if found.world_from_body is None:
-            return found
-        flags = second_body_flags(found.world_from_body, body, cameras, candidates, _SIGMAS)
+        for found in rivals:
+            assert found.world_from_body is not None
+            left = unexplained(found.world_from_body, body, cameras, candidates)
+            mirrored = find_reflection(found.world_from_body, body, cameras, left, _SIGMAS)
+            if mirrored is not None:
+                again = _associated(body, cameras, mirrored.left_out_of(detections))
+                return replace(again, reflection=again.reflection or mirrored)
+        if len(rivals) > 1:
+            return Association(None, reason=_ambiguous(*rivals))
+        flags = second_body_flags(body, left, _SIGMAS)
         against = tuple(_disagreeing(found, body, cameras, detections))
         return replace(found, flags=flags, disagreeing=against)
     return Association(None, reason=_why_none(body, candidates, points))
@@ -155,13 +165,15 @@ def second_body(
 ) -> tuple[str, ...]:
     """A flag if whole images of `cameras` may show another body like the one tracked."""
     candidates = by_ball(detections, body.balls, cameras)
-    return second_body_flags(world_from_body, body, cameras, candidates, _SIGMAS)
+    left = unexplained(world_from_body, body, cameras, candidates)
+    mirrored = find_reflection(world_from_body, body, cameras, left, _SIGMAS)
+    return second_body_flags(body, left if mirrored is None else mirrored.others, _SIGMAS)
 
 
-def _best(problem: _AssociationProblem, poses: RigidTransform) -> Association | None:
-    """The accepted pose, or an ambiguous result without one; None if none is acceptable."""
+def _best(problem: _AssociationProblem, poses: RigidTransform) -> list[Association]:
+    """The accepted pose, and a different one that fits as well; empty if none is acceptable."""
     if not len(poses.translation):
-        return None
+        return []
     rough = problem.score(poses)
     order = np.argsort(-rough.score, kind="stable")
     finalists: list[tuple[float, Association]] = []
@@ -170,15 +182,15 @@ def _best(problem: _AssociationProblem, poses: RigidTransform) -> Association | 
         if refined is not None and _is_new(problem, refined[1], finalists):
             finalists.append(refined)
     if not finalists:
-        return None
+        return []
     finalists.sort(key=lambda item: -item[0])
     best_score, best = finalists[0]
     for score, rival in finalists[1:]:
         twin = _common_share(problem, rival, best) > _TWIN_SHARE
         least = _TWIN_SCORE if twin else _RIVAL_SCORE
         if score >= least * best_score:
-            return Association(None, reason=_ambiguous(best, rival))
-    return best
+            return [best, rival]
+    return [best]
 
 
 def _common_share(problem: _AssociationProblem, rival: Association, best: Association) -> float:

@@ -113,14 +113,24 @@ def lie_on_body(
     seen_by: Ints,
     pixels: Floats,
 ) -> Bools:
-    """Whether each of n candidates (n,) lies on some ball of the body in its pose.
+    """`lie_on_balls` for the balls of the body in its pose."""
+    centers = world_from_body.apply(body.centers)
+    return lie_on_balls(centers, body.radii, cameras, seen_by, pixels)
+
+
+def lie_on_balls(
+    centers: Floats, radii: Floats, cameras: Sequence[Camera], seen_by: Ints, pixels: Floats
+) -> Bools:
+    """Whether each of n candidates (n,) lies on one of k balls.
 
     Args:
+        centers: (k, 3) in the world, mm.
+        radii: (k,) mm.
         seen_by: (n,) index of the candidates' cameras.
         pixels: (n, 2).
     """
     views, out = Rig.of(cameras).take(seen_by), np.zeros(len(pixels), np.bool_)
-    for center, radius in zip(world_from_body.apply(body.centers), body.radii, strict=True):
+    for center, radius in zip(centers, radii, strict=True):
         off = np.linalg.norm(pixels - views.project(center)[0], axis=1)
         away = np.linalg.norm(views.centers - center, axis=1)
         out |= off < _INSIDE_RADII * views.focal_px * radius / away

@@ -44,11 +44,7 @@ class SecondBodyFlag(str):
 
 
 def second_body_flags(
-    world_from_body: RigidTransform,
-    body: Body,
-    cameras: Sequence[Camera],
-    candidates: Sequence[Candidates],
-    sigmas: float,
+    body: Body, candidates: Sequence[Candidates], sigmas: float
 ) -> tuple[str, ...]:
     """A flag if balls that do not belong to the body found are as far apart as in the body.
 
@@ -56,14 +52,14 @@ def second_body_flags(
     whose sizes give their distances.
 
     Args:
+        candidates: of every ball, those that do not lie on the body, nor on its mirror image.
         sigmas: distances fit within this many standard deviations.
     """
-    left = _unexplained(world_from_body, body, cameras, candidates)
-    if sum(len(some) > 0 for some in left) < 2:
+    if sum(len(some) > 0 for some in candidates) < 2:
         return ()
-    located = [intersect_rays(some, sigmas, _RANGE_RATIO, _MAX_POINTS_PER_BALL) for some in left]
+    located = [intersect_rays(c, sigmas, _RANGE_RATIO, _MAX_POINTS_PER_BALL) for c in candidates]
     distances = np.linalg.norm(body.centers[:, None] - body.centers[None], axis=2)
-    for balls, where in _evidence(left, located, distances, sigmas):
+    for balls, where in _evidence(candidates, located, distances, sigmas):
         if where is not None:
             return (_flag([body.names[k] for k in balls], where),)
     return ()
@@ -114,7 +110,7 @@ def _seen_once(candidates: Candidates, located: BallPoints, sigmas: float) -> Ca
     return candidates.rows(np.nonzero(~shared)[0])
 
 
-def _unexplained(
+def unexplained(
     world_from_body: RigidTransform,
     body: Body,
     cameras: Sequence[Camera],

@@ -56,6 +56,7 @@ class PredictiveTracker(Tracker):
         self._windows: SearchWindows | None = None
         self._found: Association | None = None
         self._identity = IdentityDoubt()
+        self._note = ""  # what the last search left out: it holds while the body is tracked
         self._last_state: MotionState | None = None
         self._recovering: dict[tuple[str, str], int] = {}
         self._misses = 0
@@ -143,7 +144,7 @@ class PredictiveTracker(Tracker):
             self._misses = 0
             self._state = self._state.updated(pose, _EXTRA_SD, self._acceleration)
             self._last_state, self._velocity_change = self._state, None
-        return Conclusion(pose if flags == pose.flags else replace(pose, flags=flags))
+        return Conclusion(pose if flags == pose.flags else replace(pose, flags=flags), self._note)
 
     def _search(
         self, frame_set: model.FrameSet, detections: Mapping[str, Sequence[model.Detection]]
@@ -151,6 +152,7 @@ class PredictiveTracker(Tracker):
         present = [camera for camera in self.cameras if camera.name in frame_set.images]
         self._found = found = associate(self.body, present, detections)
         self._recovering = {}
+        self._note = "" if found.reflection is None else str(found.reflection)
         if found.world_from_body is not None:
             assert found.covariance is not None
             time_s = float(np.mean([d.time_s for d in found.detections]))
