@@ -234,6 +234,7 @@ def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> Non
         begin = act("Wave the board", "waving_hand", lambda: wave.take(body()), primary=True)
         enough = act("Enough for me", "done", wave.end, primary=True)
         other = act("Take the board that is seen", "swap_horiz", lambda: wave.take_other(body()))
+        undo(bench, lambda: bench.folder / CALIBRATION, lambda: setattr(wave, "result", None))
     with ui.column().classes("advice") as shown:
         bar = ui.linear_progress(0.0, show_value=False).props("rounded size=0.9rem")
         bar.props('aria-label="how accurate it is, of what was asked for"')
@@ -255,7 +256,6 @@ def _judgement(bench: Bench, wave: _Wave) -> None:
     with ui.column().classes("verdict") as shown:
         headline = ui.label().classes("figure").props("data-judgement")
         link("Report of the calibration, with the cameras in 3-D", bench, lambda: wave.report)
-        undo(bench, lambda: bench.folder / CALIBRATION, lambda: setattr(wave, "result", None))
         found = ui.html("", sanitize=False).classes("findings")
 
     def show() -> None:
