@@ -41,7 +41,7 @@ class _World:
     """What is asked for, and where the board is seen; it outlives the browser's page."""
 
     bench: Bench
-    place: api.RigidTransform | None = None  # Of the board in the world, in the newest pictures
+    seen: tuple[api.Calibration, api.RigidTransform] | None = None  # Board in which world, where
     unseen: str = ""  # Why it is in no picture
     rests_until_s: float = 0.0  # Before which nobody looks again
 
@@ -51,17 +51,24 @@ class _World:
             raise ConfigError("calibrate the cameras first: step 2 makes what is moved here")
         return self.bench.calibration
 
+    @property
+    def place(self) -> api.RigidTransform | None:
+        """Where the board was seen last; None if not, or if the world has moved since."""
+        known, place = self.seen or (None, None)
+        return place if known is self.bench.calibration else None
+
     def look(self) -> None:
         """Look for the board in the newest pictures, unless there is other work to do."""
         bench, begun_s = self.bench, time.monotonic()
-        if bench.calibration is None or bench.busy or begun_s < self.rests_until_s:
+        known = bench.calibration
+        if known is None or bench.busy or begun_s < self.rests_until_s:
             return
         try:
             newest = bench.preview.pixels(bench.names)
-            place = lab.world_by_board(bench.calibration, bench.target(), newest)[1]
-            self.place, self.unseen = place.transform, ""
+            place = lab.world_by_board(known, bench.target(), newest)[1]
+            self.seen, self.unseen = (known, place.transform), ""
         except MeasureError as problem:
-            self.place, self.unseen = None, plain(str(problem), bench.folder)
+            self.seen, self.unseen = None, plain(str(problem), bench.folder)
         took_s = time.monotonic() - begun_s
         self.rests_until_s = begun_s + took_s / SEARCH_SHARE
 
