@@ -119,7 +119,7 @@ def seen_px(recording, true, ball):
         pose = read_trajectory(recording / "truth.csv").at(session.streams["cam0"].times_s[:1])[0]
         center = pose.apply(true.centers[true.index(ball)][None])
         camera = session.cameras[0]
-        scale = WIDTH_PX / camera.intrinsics.size_wh[0]
+        scale = min(1.0, WIDTH_PX / camera.intrinsics.size_wh[0])
         return scale * (np.ravel(camera.project(center)) + 0.5) - 0.5
 
 

@@ -152,7 +152,7 @@ class _Live:
             if self.run is None:
                 return "stopped: nothing was measured"
             self.ended = Ended(run.name, summary.ok, summary.frame_sets, time.monotonic() - begun_s)
-            self.session = options.record
+            self.session, job.title = options.record, f"reporting {run.name}"
             self.report = lab.report(run)
             return f"{run.name}: {self.ended.share}"
 
