@@ -103,24 +103,41 @@ def refine(
         joint, first = joint_covariance(opened), opened.cameras
         measured, sized = measure_all(opened, chosen, registry, progress)
         names = tuple(only) or contradicted(measured, opened.body, first)
-        if names:
-            recording = recording_of(measured, opened.body, doubtful_too=True)
-            free = freed(first, names, opened.body, recording, settings)
-            rough: tuple[Camera, ...] | None = free.refinement.cameras
+
+        def freed_alone(doubtful_too: bool) -> FreedRig | None:
+            """The named cameras freed; None if they were only guessed, and do not explain it."""
+            try:
+                recording = recording_of(measured, opened.body, doubtful_too=doubtful_too)
+                return freed(first, names, opened.body, recording, settings) if names else None
+            except CalibrationError:
+                if only:
+                    raise
+                return None
+
+        free = freed_alone(doubtful_too=True)
+        rough: tuple[Camera, ...] | None
+        if free is not None:
+            rough = free.refinement.cameras
         else:
             rough = rough_cameras(first, opened.body, measured, settings, joint)
         if rough is not None:
             _log.warning("the cameras disagree much: measuring again with roughly refined ones")
             again = replace(opened, cameras=rough)
             measured, sized = measure_all(again, chosen, registry, progress)
-        if names:
-            recording = recording_of(measured, opened.body)
-            free = freed(first, names, opened.body, recording, settings)
-            rig = refine_measured(free.cameras, opened.body, measured, settings, free.joint)
+        free = freed_alone(doubtful_too=False) if free is not None else None
+        rig: RefinedRig | None = None
+        if free is not None:
+            try:
+                rig = refine_measured(free.cameras, opened.body, measured, settings, free.joint)
+            except CalibrationError:
+                if only:
+                    raise
+        if free is not None and rig is not None:
             cameras, joint = free.as_stated(rig.refinement, first, joint)
             rig = replace(rig, refinement=replace(rig.refinement, cameras=cameras))
             notes = (_freed_note(free, bool(only)), *rig.verdict.notes)
         else:
+            names = ()
             rig = refine_measured(first, opened.body, measured, settings, joint)
             notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
             joint = rig.refinement.covariance

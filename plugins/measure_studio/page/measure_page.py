@@ -149,7 +149,7 @@ class _Live:
                     options=made,
                     on_state=self._hear,
                 ).summary
-            if self.run is None:
+            if not run.exists():  # it was empty, and is deleted
                 return "stopped: nothing was measured"
             self.ended = Ended(run.name, summary.ok, summary.frame_sets, time.monotonic() - begun_s)
             self.session, job.title = options.record, f"reporting {run.name}"
