@@ -17,7 +17,7 @@ from measure.measuring.measurement import Measurement
 from measure.model import Body, Camera
 
 EVERY_S = 15.0
-"""Between two looks, which cost 0.1 s of a core each."""
+"""Between two looks, which cost 0.3 s of a core each."""
 _WINDOW = 300  # Latest frame sets, of which some, evenly spread, are looked at
 
 

@@ -52,6 +52,7 @@ def view(
         code = viewer.process.wait()
     finally:
         viewer.process.terminate()
+        viewer.process.wait()
     if code > 0:
         raise RunError(
             f"the viewer gave up with exit code {code}, see above; without a screen, add --web"

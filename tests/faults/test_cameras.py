@@ -108,15 +108,25 @@ def test_a_flood_of_pictures_is_given_up(pictures):
 
 
 def test_a_password_is_sent_to_its_own_host_only(pictures):
-    """The control: there it is sent, and a redirection within the host keeps it."""
+    """The control: there it is sent, once the camera asks."""
     camera = HostileCamera(pictures)
     heard = []
     answer = camera.connect
-    camera.connect = lambda wire, request: (heard.append(request), answer(wire, request))
+
+    def asking(wire, request):
+        heard.append(request)
+        if b"Authorization" in request:
+            answer(wire, request)
+        else:
+            asks = b'WWW-Authenticate: Basic realm="x"\r\n'
+            wire.send(b"HTTP/1.1 401 Unauthorized\r\n", asks, b"Content-Length: 0\r\n\r\n")
+
+    camera.connect = asking
     with hostile([camera]) as (address,):
         next(CameraAddress("a", address).source().shots())
-    assert b"Authorization: Basic " in heard[0]
-    assert f"token={TOKEN}".encode() in heard[0]
+    assert b"Authorization" not in heard[0]
+    assert b"Authorization: Basic " in heard[1]
+    assert all(f"token={TOKEN}".encode() in request for request in heard)
 
 
 def test_a_password_of_rtsp_follows_no_redirection():
