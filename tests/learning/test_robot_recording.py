@@ -103,7 +103,9 @@ def test_a_model_of_a_pair_corrects_as_well(folder: Path, tmp_path: Path):
     path = learning_api.robot_recording(folder / "run", "raven", log, model)
     drawn = column(read_recording(path)[entities.robot("corrected")], "Points3D:positions")
     places = np.array([p[0] for p in drawn.values() if p])
-    every = np.loadtxt(out, delimiter=",", skiprows=1, usecols=(8, 9, 10))
+    heads = out.read_text().partition("\n")[0].replace('"', "").split(",")
+    tip = [heads.index(f"{axis}_mm") for axis in "xyz"]
+    every = np.loadtxt(out, delimiter=",", skiprows=1, usecols=tip)
     assert len(places) > 0.9 * SECONDS * FRAME_HZ
     # Each correction is one of the log's, at a position between two of its states.
     assert np.median(np.linalg.norm(places[:, None] - every, axis=2).min(axis=1)) < 0.5

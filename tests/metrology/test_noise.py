@@ -91,7 +91,7 @@ def test_evaluate_and_report_tell_noise_and_drift(tmp_path, capsys, rng):
     assert main(["report", str(run)]) == 0
     page = (run / "report.html").read_text()
     assert "Of the unflagged poses about the means of the rests" in page
-    rows = "".join(f"{t},{t},0,200,1,0,0,0\n" for t in (-1.0, 100.0))
+    rows = "".join(f"{t},{t},0,200,1,0,0,0\n" for t in np.arange(-1.0, 100.0, 0.1).round(1))
     (tmp_path / "truth.csv").write_text("time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz\n" + rows)
     capsys.readouterr()
     assert main(["evaluate", str(run), "--truth", str(tmp_path / "truth.csv"), "--json"]) == 0
