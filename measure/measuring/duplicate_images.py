@@ -80,10 +80,11 @@ class _Glance:
         pixels, nothing = np.asarray(image.pixels), np.empty((0, 0), np.float32)
         if pixels.ndim != 3 or min(pixels.shape[:2]) < _BLOCK_PX:
             return cls(image.frame, _fingerprint(image), nothing, nothing)
-        height, width = (size // _BLOCK_PX * _BLOCK_PX for size in pixels.shape[:2])
-        grey = cv2.cvtColor(pixels[:height, :width], cv2.COLOR_BGR2GRAY).astype(np.float32)
-        size_wh = width // _BLOCK_PX, height // _BLOCK_PX
-        blocks = np.asarray(cv2.resize(grey, size_wh, interpolation=cv2.INTER_AREA), np.float32)
+        rows, columns = (size // _BLOCK_PX for size in pixels.shape[:2])
+        whole = pixels[: rows * _BLOCK_PX, : columns * _BLOCK_PX]
+        grey = cv2.cvtColor(whole, cv2.COLOR_BGR2GRAY).reshape(rows, _BLOCK_PX, -1)
+        strips = grey.sum(axis=1, dtype=np.uint16).reshape(rows, columns, _BLOCK_PX)
+        blocks = strips.sum(axis=2, dtype=np.uint16) / np.float32(_BLOCK_PX**2)
         things = blocks - cv2.blur(blocks, (_SURROUNDINGS, _SURROUNDINGS))
         size = float(np.linalg.norm(things))
         seen = np.ptp(things) >= _MIN_CONTRAST / 2

@@ -51,22 +51,27 @@ class Smear:
 
 
 class SmearedImages:
-    """Judges the latest images of each camera by the edges of balls found in them."""
+    """Judges the latest images of each camera by the edges of balls found in them.
+
+    Attributes:
+        smear: the cameras whose images are blurred, beyond chance and whichever way balls move.
+    """
 
     def __init__(self) -> None:
         self._edges: dict[str, deque[tuple[Floats, Floats]]] = {}
+        self.smear: Smear | None = None
 
-    def add(self, steps: Iterable[BallStep]) -> None:
+    def add(self, steps: Sequence[BallStep]) -> None:
         """Look at the edges of balls that were seen in two images in a row."""
         for ball, pixels, step_px in steps:
             edges = _edges(pixels, ball)
             if edges is not None:
                 latest = self._edges.setdefault(ball.camera, deque(maxlen=_REMEMBERED))
                 latest.append((edges, step_px))
+        if steps:
+            self.smear = self._judged()
 
-    @property
-    def smear(self) -> Smear | None:
-        """The cameras whose images are blurred, beyond chance and whichever way balls move."""
+    def _judged(self) -> Smear | None:
         found = {name: _smear(latest) for name, latest in self._edges.items()}
         known = {name: smear for name, smear in found.items() if smear is not None}
         if not known:

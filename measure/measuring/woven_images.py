@@ -61,12 +61,17 @@ class BallSteps:
 
 
 class WovenImages:
-    """Judges the latest images of each camera by the balls found in them."""
+    """Judges the latest images of each camera by the balls found in them.
+
+    Attributes:
+        cameras: those whose rows are displaced along the motion, as far as is beyond chance.
+    """
 
     def __init__(self) -> None:
         self._steps: dict[str, deque[tuple[Floats, Floats]]] = {}
+        self.cameras: list[str] = []
 
-    def add(self, steps: Iterable[BallStep]) -> None:
+    def add(self, steps: Sequence[BallStep]) -> None:
         """Look at the rows of balls that were seen in two images in a row."""
         for ball, pixels, step_px in steps:
             if np.linalg.norm(step_px) > _LARGEST_STEP * ball.radius_px:
@@ -75,11 +80,9 @@ class WovenImages:
             if between_px is not None:
                 latest = self._steps.setdefault(ball.camera, deque(maxlen=_REMEMBERED))
                 latest.append((step_px, between_px))
-
-    @property
-    def cameras(self) -> list[str]:
-        """Those whose rows are displaced along the motion, as far as is beyond chance."""
-        return sorted(name for name, latest in self._steps.items() if _are_woven(latest))
+        if steps:
+            found = (name for name, latest in self._steps.items() if _are_woven(latest))
+            self.cameras = sorted(found)
 
     @property
     def flag(self) -> str:
