@@ -345,17 +345,14 @@ def _blurred(d: Draw) -> _Made:
 
 
 def _overexposed(d: Draw) -> _Made:
-    factor = d.size(2.4, 3.5)
-    return (
-        ("exposure",),
-        "",
-        f"{factor:.1f}",
-        made.pictures(lambda images, k: np.clip(factor * images[k], 0, 255).astype(np.uint8)),
-    )
+    return _brightened(d.size(2.4, 3.5))
 
 
 def _dark(d: Draw) -> _Made:
-    factor = d.size(0.2, 0.3)
+    return _brightened(d.size(0.2, 0.3))
+
+
+def _brightened(factor: float) -> _Made:
     return (
         ("exposure",),
         "",

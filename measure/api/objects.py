@@ -114,7 +114,7 @@ class Run:
     """
 
     def __init__(self, read: Sequence[results.Run], origin: Provenance, which: int = 0) -> None:
-        self._read, self._origin, self._which = read, origin, which
+        self._read, self._origin = read, origin
         self._run = read[which]
 
     @classmethod

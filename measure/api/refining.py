@@ -100,45 +100,30 @@ def refine(
     chosen = lenient(load_profile(profile))
     with open_session(session, calibration=calibration) as opened:
         _check_names(only, opened.cameras)
-        joint, first = joint_covariance(opened), opened.cameras
+        first, body, joint = opened.cameras, opened.body, joint_covariance(opened)
         measured, sized = measure_all(opened, chosen, registry, progress)
-        names = tuple(only) or contradicted(measured, opened.body, first)
-
-        def freed_alone(doubtful_too: bool) -> FreedRig | None:
-            """The named cameras freed; None if they were only guessed, and do not explain it."""
+        names, alone = tuple(only) or contradicted(measured, body, first), None
+        if names:
             try:
-                recording = recording_of(measured, opened.body, doubtful_too=doubtful_too)
-                return freed(first, names, opened.body, recording, settings) if names else None
+                recording = recording_of(measured, body, doubtful_too=True)
+                rough = freed(first, names, body, recording, settings).refinement.cameras
+                again = _measured_again(opened, rough, chosen, registry, progress)
+                free = freed(first, names, body, recording_of(again[0], body), settings)
+                alone = refine_measured(free.cameras, body, again[0], settings, free.joint)
+                sized = again[1]
             except CalibrationError:
                 if only:
                     raise
-                return None
-
-        free = freed_alone(doubtful_too=True)
-        rough: tuple[Camera, ...] | None
-        if free is not None:
-            rough = free.refinement.cameras
-        else:
-            rough = rough_cameras(first, opened.body, measured, settings, joint)
-        if rough is not None:
-            _log.warning("the cameras disagree much: measuring again with roughly refined ones")
-            again = replace(opened, cameras=rough)
-            measured, sized = measure_all(again, chosen, registry, progress)
-        free = freed_alone(doubtful_too=False) if free is not None else None
-        rig: RefinedRig | None = None
-        if free is not None:
-            try:
-                rig = refine_measured(free.cameras, opened.body, measured, settings, free.joint)
-            except CalibrationError:
-                if only:
-                    raise
-        if free is not None and rig is not None:
-            cameras, joint = free.as_stated(rig.refinement, first, joint)
-            rig = replace(rig, refinement=replace(rig.refinement, cameras=cameras))
+                names = ()  # They were a guess, which does not explain what is seen
+        if alone is not None:
+            cameras, joint = free.as_stated(alone.refinement, first, joint)
+            rig = replace(alone, refinement=replace(alone.refinement, cameras=cameras))
             notes = (_freed_note(free, bool(only)), *rig.verdict.notes)
         else:
-            names = ()
-            rig = refine_measured(first, opened.body, measured, settings, joint)
+            rough_rig = rough_cameras(first, body, measured, settings, joint)
+            if rough_rig is not None:
+                measured, sized = _measured_again(opened, rough_rig, chosen, registry, progress)
+            rig = refine_measured(first, body, measured, settings, joint)
             notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
             joint = rig.refinement.covariance
         clocks = clock_values(opened.clock_digest, _shifts(rig, opened.clock_shifts_s))
@@ -151,6 +136,18 @@ def refine(
     sd_mm = float(np.sqrt(np.mean(np.diag(sized.radius_covariance))))
     refined = replace(sized.with_centers(rig.refinement.centers), radius_tolerance_mm=sd_mm)
     return RefineResult(Calibration(rig.refinement.cameras, values), rig, refined, notes, names)
+
+
+def _measured_again(
+    opened: Session,
+    cameras: tuple[Camera, ...],
+    profile: Profile,
+    registry: Registry,
+    progress: Progress,
+) -> tuple[list[Measurement], Body]:
+    """The session measured with roughly refined cameras."""
+    _log.warning("the cameras disagree much: measuring again with roughly refined ones")
+    return measure_all(replace(opened, cameras=cameras), profile, registry, progress)
 
 
 def _check_names(only: Sequence[str], cameras: Sequence[Camera]) -> None:
