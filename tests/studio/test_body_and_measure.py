@@ -14,17 +14,19 @@ from measure.simulation.catalogue import shaft, stems, webcam_scene
 from measure_studio.page.layout import WIDTH_PX
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium
-from tests.simulated.catalogue import body, three_camera_rig
+from tests.simulated.catalogue import body
 from tests.simulated.sessions import rendered
+from tests.studio import waved
 from tests.studio.desk import FOOT, click_at, fill, go, press, strike, studio
-from tests.studio.test_from_nothing import at_rest
+from tests.studio.test_from_nothing import CHARUCO, JUDGEMENT, at_rest, cameras, serve
 
-pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(600)]
 PERIOD_S, OWN_PERIOD_S = 0.25, 0.3
 MAGENTA = "pink"  # As the program calls it
 SAYS = "document.body.innerText.includes({!r})"
 SHOWN = "document.querySelectorAll('img.live[src^=blob]').length >= {}"
 STATE = "document.querySelector('.pose')?.dataset.state"
+AZIMUTHS_DEG = (60.0, 90.0, 120.0)  # Of the cameras before which a board is waved
 POSES = "document.querySelector('[data-pose]')?.innerText"
 
 
@@ -56,25 +58,26 @@ def own_object():
     }
     own = body("my object", places, 15.0)
     attached = (*stems(own), shaft(color=(0.02,) * 3))
-    scene = replace(webcam_scene(), name="own", body=own, cameras=three_camera_rig())
+    scene = replace(webcam_scene(), name="own", body=own, cameras=cameras(AZIMUTHS_DEG))
     return rendered(replace(scene, attached=attached), OWN_PERIOD_S * np.arange(10)), own
 
 
 def test_an_object_of_ones_own_is_measured(tmp_path, rng):
-    """Nobody chooses or clicks a colour; a click on the ground teaches nothing."""
+    """From an empty folder: nobody chooses a colour; a click on the ground teaches nothing."""
     recording, true = own_object()
-    desk = tmp_path / "desk"
-    desk.mkdir()
-    shutil.copy(recording / "calibration.toml", desk)
-    cameras = served(recording, 3, OWN_PERIOD_S)
-    moving = {name: camera.pictures for name, camera in cameras.items()}
-    for camera in cameras.values():  # at rest, to be clicked
-        camera.pictures = at_rest(camera.pictures[0], rng)
+    desk, own = tmp_path / "desk", served(recording, 3, OWN_PERIOD_S)
+    moving = {name: camera.pictures for name, camera in own.items()}
+    for name, some in CHARUCO.pictures(rng, waved.rig(AZIMUTHS_DEG)).items():
+        own[name].pictures = some
     with (
-        serving(cameras) as found,
+        serving(own) as found,
         Chromium(1440, 900) as page,
         studio(desk, *(f"{name}={at}" for name, at in found.items())) as address,
     ):
+        go(page, address + "calibration")
+        press(page, "wave the board")
+        page.wait_for(f"/The cameras are calibrated/.test({JUDGEMENT})", 300)
+        serve(own, {name: at_rest(some[0], rng) for name, some in moving.items()})  # to be clicked
         go(page, address + "body")
         page.wait_for(SHOWN.format(3), 60)
         page.wait_for("document.querySelectorAll('[data-ball]').length == 4", 120)
@@ -87,8 +90,7 @@ def test_an_object_of_ones_own_is_measured(tmp_path, rng):
         page.wait_for("!!document.querySelector('[data-ball=blue]')", 20)
         page.wait_until((desk / "colours.toml").exists, "blue is learnt", 20)
         assert page.evaluate(top) == before
-        for name, some in moving.items():
-            cameras[name].pictures = some
+        serve(own, moving)
         fill(page, "Radius of the balls, mm", "15")
         fill(page, "Seconds", "6")
         press(page, "record and measure")
@@ -117,7 +119,7 @@ def seen_px(recording, true, ball):
         pose = read_trajectory(recording / "truth.csv").at(session.streams["cam0"].times_s[:1])[0]
         center = pose.apply(true.centers[true.index(ball)][None])
         camera = session.cameras[0]
-        scale = WIDTH_PX / camera.intrinsics.size_wh[0]
+        scale = min(1.0, WIDTH_PX / camera.intrinsics.size_wh[0])
         return scale * (np.ravel(camera.project(center)) + 0.5) - 0.5
 
 

@@ -51,10 +51,10 @@ class CHARUCO:
         return {c.name: [jpeg(waved.picture(c, p, rng)) for p in cls.poses()] for c in rig}
 
 
-def cameras():
+def cameras(azimuths_deg=(60, 120)):
     """Those before which the board is waved, where the workspace is."""
-    up = RigidTransform(np.eye(3), WORKSPACE_MM)
-    return tuple(replace(c, world_from_camera=up @ c.world_from_camera) for c in waved.rig())
+    up, rig = RigidTransform(np.eye(3), WORKSPACE_MM), waved.rig(azimuths_deg)
+    return tuple(replace(c, world_from_camera=up @ c.world_from_camera) for c in rig)
 
 
 def jpeg(pixels):
