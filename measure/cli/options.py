@@ -104,7 +104,7 @@ class RobotOptions:
     Attributes:
         robot_log: the robot's log: Parquet, text or a bag; one for all runs, or one each.
         robot: a known one (raven, raven-right, dvrk-psm, ur5e, ur10e, franka, xarm6, kuka-iiwa), a
-            robot.toml or a .urdf.
+            robot.toml, a .urdf or the calibration.yaml of a UR.
         topic: of the robot's states in a bag.
     """
 

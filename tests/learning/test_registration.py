@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from benchmarks.registration import SWING_DEG, Arm, recorded, robot_toml, ur5e
 from measure.cli import main
@@ -313,20 +314,37 @@ def test_the_measured_links_go_out_as_a_urdf_and_come_back(
     )
     words = ["register", str(tmp_path / "poses.csv"), "--robot-log", str(tmp_path / "log.csv")]
     words += ["--robot", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "frame.toml")]
-    out = tmp_path / "measured.urdf"
-    assert main([*words, "--urdf-out", str(out)]) == 2
+    out, ur = tmp_path / "measured.urdf", tmp_path / "calibration.yaml"
+    calib, launch = tmp_path / "cell.calib", tmp_path / "cell.launch.py"
+    also = [word for path in (out, ur, calib, launch) for word in ("--also", str(path))]
+    assert main([*words, *also]) == 2
     assert "give --kinematics" in capsys.readouterr().err
-    assert main([*words, "--urdf-out", str(out), "--kinematics", "--json"]) == 0
+    assert main([*words, "--also", str(tmp_path / "cell.txt")]) == 2
+    assert "its name must end with .urdf" in capsys.readouterr().err
+    assert not (tmp_path / "frame.toml").exists()
+    assert main([*words, *also, "--kinematics", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     values = np.array(said["kinematics"]["values"])
     errors = np.where(np.resize(TURNS, values.shape), np.deg2rad(values), values)
     measured, q = with_link_errors(ur5e(), errors), arm.log.states[::50, :6]
-    schema = find_schema(str(out))
-    assert schema.chain is not None
-    assert [reading.terms[0][0] for reading in schema.joints] == [f"q{k}" for k in range(6)]
-    off = schema.chain.pose(q).difference(measured.pose(q))
-    assert np.abs(off[:, :3]).max() < 1e-3  # 1 um
-    assert np.abs(off[:, 3:]).max() < 1e-8
+    for path, first in ((out, 0), (ur, 1)):
+        schema = find_schema(str(path))
+        assert schema.chain is not None
+        names = [reading.terms[0][0] for reading in schema.joints]
+        assert names == [f"q{k + first}" for k in range(6)]
+        off = schema.chain.pose(q).difference(measured.pose(q))
+        assert np.abs(off[:, :3]).max() < 1e-3  # 1 um
+        assert np.abs(off[:, 3:]).max() < 1e-8
+    held = yaml.safe_load(calib.read_text())
+    assert held["parameters"]["calibration_type"] == "eye_on_base"
+    camera, base = held["transform"], read_frame(tmp_path / "frame.toml").world_from_base
+    quat = [camera["rotation"][name] for name in "wxyz"]
+    place = [1e3 * camera["translation"][name] for name in "xyz"]
+    off = (RigidTransform.from_quat_wxyz(quat, place) @ base).difference(RigidTransform.identity())
+    assert np.abs(off).max() < 1e-6
+    assert launch.read_text().count("static_transform_publisher") == 2
+    assert f"'--x', '{base.translation[0] / 1e3:.9f}'" in launch.read_text()
+    compile(launch.read_text(), "launch", "exec")
     assert np.linalg.norm(schema.chain.tip_mm(q) - ur5e().tip_mm(q), axis=1).max() > 0.1
     base = dict(zip(*[iter(said["static_transforms"][0].split()[4:])] * 2, strict=True))
     assert base["--frame-id"] == "world"

@@ -13,8 +13,9 @@ from measure_learning.api.pairing import (
     RenderOptions,
     RunFacts,
     SimulationOptions,
+    check_other_file,
     make_dataset,
-    measured_urdf,
+    other_file,
     register,
     simulate_dataset,
     simulate_recording,
@@ -30,7 +31,8 @@ from measure_learning.api.training import (
 
 __all__ = [
     "RenderOptions", "RunFacts", "SimulationOptions", "SweepOptions", "TrainOptions", "ablate",
-    "correct_simulated_robot", "estimate_file", "estimate_online", "make_dataset", "measured_urdf",
-    "model_file", "parse_settings", "register", "rezero", "robot_recording", "shipped_model",
+    "check_other_file", "correct_simulated_robot", "estimate_file", "estimate_online",
+    "make_dataset", "model_file", "other_file", "parse_settings", "register", "rezero",
+    "robot_recording", "shipped_model",
     "simulate_dataset", "simulate_recording", "sweep", "train",
 ]  # fmt: skip

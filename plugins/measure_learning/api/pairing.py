@@ -292,22 +292,54 @@ def register(
     return register(list(map(LoggedTrack, tracks, opened, shared)), options)
 
 
-def measured_urdf(frame: RobotFrame, robot: str) -> str:
-    """A URDF of the robot with the links and zeros that a registration with `kinematics` found."""
+OTHER_FILES = {
+    ".urdf": "the robot with its measured links and zeros",
+    ".yaml": "those of a UR, for its ROS driver",
+    ".calib": "where the cameras are, for easy_handeye2",
+    ".launch.py": "base and tool as static transforms, as MoveIt writes them",
+}
+"""Files of other programs by the end of their names."""
+
+
+def other_file(out: Path, frame: RobotFrame, robot: str) -> str:
+    """What a file of another program holds of a registration, by its name: `OTHER_FILES`.
+
+    ConfigError: another name, or the links were not fitted and the file is of them.
+    """
+    import shlex
+
     import numpy as np
 
+    from measure_learning.robots import other_programs
     from measure_learning.robots.links import TURNS, with_link_errors
-    from measure_learning.robots.urdf import urdf_text
+    from measure_learning.robots.urdf import joint_names, urdf_text
 
+    check_other_file(out, links=frame.kinematics is not None)
+    if out.name.endswith(".launch.py"):
+        words = [shlex.split(command)[4:] for command in frame.static_transforms()]
+        return other_programs.launch_text(words)
+    if out.suffix == ".calib":
+        camera = frame.flange_from_body if frame.eye_in_hand else frame.world_from_base.inverse()
+        return other_programs.easy_handeye_text(out.stem, camera, eye_in_hand=frame.eye_in_hand)
     schema = find_schema(robot)
-    if frame.kinematics is None or schema.chain is None:
-        raise ConfigError("a URDF of the measured links needs --kinematics")
+    assert frame.kinematics is not None
+    assert schema.chain is not None
     values = np.array(frame.kinematics["values"])
     errors = np.where(np.resize(TURNS, values.shape), np.deg2rad(values), values)
-    names = [reading.terms[0][0] for reading in schema.joints]
-    if len({*names}) < len(names):
-        names = [f"joint_{k + 1}" for k in range(len(names))]
-    return urdf_text(schema.robot, names, with_link_errors(schema.chain, errors))
+    measured = with_link_errors(schema.chain, errors)
+    if out.suffix == ".urdf":
+        return urdf_text(schema.robot, joint_names(schema), measured)
+    return other_programs.ur_calibration_text(measured)
+
+
+def check_other_file(out: Path, *, links: bool) -> None:
+    """Refuse (ConfigError) a name that `other_file` does not know, or links that are not fitted."""
+    kind = next((end for end in OTHER_FILES if out.name.endswith(end)), None)
+    if kind is None:
+        known = "; ".join(f"{end} ({what})" for end, what in OTHER_FILES.items())
+        raise ConfigError(f"{out}: its name must end with {known}")
+    if kind in (".urdf", ".yaml") and not links:
+        raise ConfigError(f"{out}: holds the measured links: give --kinematics")
 
 
 def _stops(path: Path, schema: StateSchema, options: RegisterOptions) -> tuple[Stops, StateSchema]:
@@ -316,7 +348,7 @@ def _stops(path: Path, schema: StateSchema, options: RegisterOptions) -> tuple[S
     from measure_learning.core.registration import choose_reading, stops_apart_deg
     from measure_learning.core.stops import pairs_in_table
 
-    track, states = read_stops(path, schema, options.angles)
+    track, states = read_stops(path, schema, options.angles, eye_in_hand=options.eye_in_hand)
     track = track.inverted() if options.eye_in_hand else track
     if not isinstance(states, list):
         return pairs_in_table(track, states), schema

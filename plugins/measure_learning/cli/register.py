@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,11 +11,11 @@ import numpy as np
 from cyclopts import Parameter
 
 from measure import api
+from measure.api.outputs import check_apart
 from measure.arrays import Floats
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import FIELDS, RobotOptions
-from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure_learning import api as learning_api
 from measure_learning.core.frames import RobotFrame, write_frame
@@ -30,7 +31,7 @@ def register(
     stops: Annotated[tuple[Path, ...], Parameter(name="--stops")] = (),
     source: RobotOptions = RobotOptions(),
     options: Annotated[RegisterOptions, FIELDS] = RegisterOptions(),
-    urdf_out: Path | None = None,
+    also: tuple[Path, ...] = (),
     json: JsonFlag = False,
 ) -> None:
     """Find where a robot stands in the cameras' world, and the body on its tool.
@@ -44,17 +45,20 @@ def register(
         runs: run folders, or tables of poses; the cameras and the body stayed where they were.
         stops: instead of runs and a log, a table with pose and joints of a stop in each row.
         out: the frame to write, for `measure dataset --frame`.
-        urdf_out: with --kinematics, also write the robot with its measured links and zeros.
+        also: write files of other programs, too, by the ends of their names: `.urdf` and UR's
+            `calibration.yaml` (measured links and zeros, with --kinematics), easy_handeye2's
+            `.calib`, `.launch.py` with static transforms as MoveIt's.
     """
-    if urdf_out and not options.kinematics:
-        raise ConfigError("--urdf-out holds the measured links: give --kinematics")
-    with api.output(out, overwrite) as file:
+    check_apart(out, *also)
+    for path in also:
+        learning_api.check_other_file(path, links=options.kinematics)
+    with ExitStack() as opened:
+        file, *others = [opened.enter_context(api.output(path, overwrite)) for path in (out, *also)]
         logs, robot, topic = source.robot_log, source.robot, source.topic
         found = learning_api.register(runs, logs, robot, options, topic=topic, stops=stops)
         write_frame(file, found)
-    if urdf_out:
-        with api.output(urdf_out, overwrite) as file:
-            file.write_text(learning_api.measured_urdf(found, robot), encoding="utf-8")
+        for path in others:
+            path.write_text(learning_api.other_file(path, found, robot), encoding="utf-8")
     if json:
         ros = {"static_transforms": found.static_transforms()}
         console.print_json({"output": out, **found.values(), **ros})

@@ -21,8 +21,15 @@ from measure.session import read_trajectory
 from measure_learning.core.assemble import PoseTrack, TrajectoryFacts
 from measure_learning.core.scores import Score
 from measure_learning.robots import ROBOT_KEY, feature_columns
+from measure_learning.robots.other_programs import read_samples
 from measure_learning.robots.tables import Table
-from measure_learning.robots.tool_poses import Angles, ToolReading, holds_tool_poses, tool_readings
+from measure_learning.robots.tool_poses import (
+    Angles,
+    ToolReading,
+    holds_tool_poses,
+    reading_of,
+    tool_readings,
+)
 
 _KEY = b"measure.schema"
 _ERRORS = ("ex_mm", "ey_mm", "ez_mm")
@@ -219,21 +226,22 @@ def read_poses(path: Path) -> PoseTrack:
 def _other_poses(path: Path) -> PoseTrack:
     known = read_trajectory(path, EstimatorError)
     count, poses = len(known.times_s), known.world_from_body
-    variances = np.repeat([_LABEL_SD_MM**2, np.deg2rad(_TURN_SD_DEG) ** 2], 3)
-    P = np.tile(np.diag(variances), (count, 1, 1))
-    return _ordered(path.stem, known.times_s, poses.translation, P, poses.rotation)
+    return _ordered(path.stem, known.times_s, poses.translation, _stated(count), poses.rotation)
 
 
 def read_stops(
-    path: Path, schema: StateSchema, angles: Angles | None = None
+    path: Path, schema: StateSchema, angles: Angles | None = None, *, eye_in_hand: bool = False
 ) -> tuple[PoseTrack, Floats | list[ToolReading]]:
     """Poses of a robot that stood still, and the states (n, features) in their rows.
 
     Where the table holds the tool's pose and no joints, these are its usual readings. Columns of
-    poses are as `read_poses` knows them, without a time; all others are the robot's.
+    poses are as `read_poses` knows them, without a time; all others are the robot's. Samples of
+    easy_handeye2 and MoveIt are taken, too.
     """
     if not path.exists():
         raise EstimatorError(f"{path}: no such table of stops")
+    if path.suffix in (".samples", ".yaml", ".yml"):
+        return _samples(path, schema, eye_in_hand)
     table = Table.read(path)
     there = [name for name in table.schema.names if name not in _OF_POSES]
     track = _poses_in(path, table, None)
@@ -246,6 +254,25 @@ def read_stops(
             raise
         return track, tool_readings(path, Table(path, table.content.select(there)), schema, angles)
     return track, found.states(str(path), table.numbers(*found.columns))
+
+
+def _samples(
+    path: Path, schema: StateSchema, eye_in_hand: bool
+) -> tuple[PoseTrack, list[ToolReading]]:
+    """Pairs of poses that another hand-eye program took."""
+    samples = read_samples(path, eye_in_hand=eye_in_hand)
+    seen = samples.cameras_from_marker
+    count = len(seen.translation)
+    track = _ordered(
+        path.stem, np.arange(float(count)), seen.translation, _stated(count), seen.rotation
+    )
+    return track, [reading_of(path, samples.base_from_tool, schema, "as hand-eye programs do")]
+
+
+def _stated(count: int) -> Floats:
+    """Covariances (n, 6, 6) of poses of which no column states them."""
+    variances = np.repeat([_LABEL_SD_MM**2, np.deg2rad(_TURN_SD_DEG) ** 2], 3)
+    return np.tile(np.diag(variances), (count, 1, 1))
 
 
 def _poses_in(path: Path, table: Table, time: str | None) -> PoseTrack:

@@ -1,4 +1,4 @@
-"""Robots described by a small TOML file or a URDF: features, position, joints, chain and logs."""
+"""Robots described by a small TOML file, a URDF or UR's calibration: what a state means."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ from measure.reading import FileModel, parse_toml, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
 from measure.robots.schema import Feature, LogFormat, OtherNames, Reading, StateSchema
 from measure_learning.robots.columns import UNITS_S
+from measure_learning.robots.other_programs import read_ur_calibration
 from measure_learning.robots.urdf import Follows, read_urdf
 
 BUILTIN = Path(__file__).with_name("builtin")
+YAML = (".yaml", ".yml")
 _FACTORS = {"rad": 1.0, "deg": np.pi / 180, "m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3}
 _SMALLEST_REACH_MM, _LARGEST_REACH_MM = 5.0, 2e4
 # Names that many programs give to joint positions, counted from 0 or 1; with their unit behind.
@@ -91,6 +93,7 @@ class _Robot(FileModel):
     joints: list[_JointTable] = Field(default_factory=list)
     dh: Literal["craig", "standard"] = "craig"
     urdf: str | None = None
+    calibration: str | None = None  # UR's, whose links replace those of the joints
     base: str | None = None
     tip: str | None = None
     coupled: list[int] = Field(default_factory=list)
@@ -118,7 +121,7 @@ class _Robot(FileModel):
 
 
 def read_schema(path: Path) -> StateSchema:
-    """Read a `robot.toml`, or a `.urdf` whose joints a log holds by their names.
+    """Read a `robot.toml`, a `.urdf` whose joints a log holds by their names, or UR's `.yaml`.
 
     Joints that carry `alpha_deg` make a kinematic chain, and so does a URDF; otherwise the chain is
     unknown. `like` takes what is not said from a known robot. EstimatorError says where it does not
@@ -139,6 +142,9 @@ def read_schema(path: Path) -> StateSchema:
 def _values(path: Path) -> dict[str, Any]:
     if path.suffix == ".urdf":
         return {"robot": path.stem, "urdf": path.name}
+    if path.suffix in YAML:
+        known = _values(BUILTIN / "ur5e.toml")  # all arms of UR name their joints alike
+        return {**known, "robot": path.stem, "calibration": path.name}
     values = parse_toml(read_toml_text(path, EstimatorError))
     like = values.pop("like", None)
     if like is None:
@@ -260,6 +266,11 @@ def _chain(path: Path, file: _Robot) -> tuple[tuple[Follows, ...], SerialChain |
         return names, SerialChain(chain.joints, chain.tool @ tool)
     if not file.joints or file.joints[0].alpha_deg is None:
         return names, None
+    if file.calibration is not None:
+        chain = read_ur_calibration(path.with_name(file.calibration))
+        if chain.size != len(names):
+            raise EstimatorError(f"{path}: {file.calibration} is of {chain.size} joints")
+        return names, SerialChain(chain.joints, tool)
     # The standard table says of a link what Craig's says before the next joint.
     before = [(np.deg2rad(joint.alpha_deg or 0.0), joint.a_mm) for joint in file.joints]
     if file.dh == "standard":

@@ -20,7 +20,7 @@ from measure_learning.robots.columns import (
     heading_hint,
     lacking,
 )
-from measure_learning.robots.generic import BUILTIN, read_schema
+from measure_learning.robots.generic import BUILTIN, YAML, read_schema
 from measure_learning.robots.log_clock import Clock, NewStates, steps_mm
 from measure_learning.robots.raven import raven_schema
 
@@ -34,7 +34,7 @@ def robot_names() -> list[str]:
 
 
 def find_schema(name: str) -> StateSchema:
-    """The schema of a known robot, or the one that a `.toml` or `.urdf` file describes."""
+    """The schema of a known robot, or what a `.toml`, `.urdf` or UR's `.yaml` describes."""
     if name in ("raven", "raven-right"):
         return raven_schema("left" if name == "raven" else "right")
     if name in robot_names():
@@ -43,11 +43,11 @@ def find_schema(name: str) -> StateSchema:
         raise EstimatorError(
             f"{name}: xacro must be expanded first: `xacro {name} > {name.removesuffix('.xacro')}`"
         )
-    if name.endswith((".toml", ".urdf")):
+    if name.endswith((".toml", ".urdf", *YAML)):
         return read_schema(Path(name))
     raise EstimatorError(
-        f"no robot schema '{name}': there is {', '.join(robot_names())}, or give a robot.toml or "
-        "a .urdf"
+        f"no robot schema '{name}': there is {', '.join(robot_names())}, or give a robot.toml, "
+        "a .urdf or UR's calibration.yaml"
     )
 
 

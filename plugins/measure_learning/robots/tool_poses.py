@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
+from measure.geometry import RigidTransform
 from measure.robots.chain import Joint, SerialChain
 from measure.robots.schema import Feature, Reading, RobotLog, StateSchema
 from measure_learning.robots.log_clock import Clock
@@ -218,6 +219,14 @@ def tool_readings(
     if not found:
         raise problem
     return found
+
+
+def reading_of(path: Path, poses: RigidTransform, schema: StateSchema, words: str) -> ToolReading:
+    """Poses (n,) of the tool in the base, mm, as states; `words` say how they were read."""
+    good = np.ones(len(poses.translation), dtype=bool)
+    turns = Rotation.from_matrix(poses.rotation)
+    states, chain = _states(path, poses.translation, good, turns)
+    return ToolReading("ros", words, states, _schema(schema, chain))
 
 
 def _numbers(table: Table, headings: _Headings) -> tuple[Floats, Floats]:

@@ -15,6 +15,7 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.reading import LARGEST, read_text
 from measure.robots.chain import Joint, SerialChain
+from measure.robots.schema import StateSchema
 
 _TURNS, _SLIDES, _STILL = ("revolute", "continuous"), "prismatic", "fixed"
 _MOST_BYTES = 8 << 20
@@ -66,6 +67,14 @@ def read_urdf(
     if not joints:
         raise EstimatorError(f"{path}: no joint moves between {base or 'the root'} and the tip")
     return tuple(names), SerialChain(tuple(joints), link)
+
+
+def joint_names(schema: StateSchema) -> list[str]:
+    """Of a schema's joints, by their features; numbered where two follow one feature."""
+    names = [reading.terms[0][0] for reading in schema.joints]
+    if len({*names}) < len(names):
+        names = [f"joint_{k + 1}" for k in range(len(names))]
+    return names
 
 
 def urdf_text(robot: str, names: Sequence[str], chain: SerialChain) -> str:
