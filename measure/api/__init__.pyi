@@ -48,6 +48,7 @@ from measure.checking.watching import RigWatch
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile, relative_measurements
+from measure.measuring.kept_rig import Keep
 from measure.model import Body, Camera, Image
 from measure.processes import ProgressClock
 from measure.results.evaluation import evaluation_tables
@@ -63,17 +64,17 @@ from measure.session import (
 __all__ = [
     "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "Body", "BodySearch",
     "Calibration", "CalibrationResult", "Camera", "Cause", "Charuco", "Chessboard", "Corners",
-    "Demo", "Finding", "FocalFrom", "FoundBody", "Image", "Lens", "Level", "Mark", "MarkKind",
-    "Marking", "Measurement", "MirroredBoardError", "OtherBoard", "Outcome", "Pipeline", "Profile",
-    "ProgressClock", "RefineResult", "Registry", "RigWatch", "RigidTransform", "RunOptions",
-    "Samples", "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState",
-    "Workers", "begin_marks", "board_frame", "board_length", "body_names", "build_pipeline",
-    "calibrate", "calibrate_to", "check", "choose", "clicked_color", "demo", "detect", "draw",
-    "draw_target", "drawings", "evaluate", "evaluation_tables", "events", "export", "find_body",
-    "find_target", "inside", "learnt_colors", "load_profile", "mark_event", "measure_bodies",
-    "measure_session", "new_folder", "other_board", "output", "parse_click", "parse_expectation",
-    "parse_images", "profile_names", "read_board", "read_body", "read_calibration",
-    "read_trajectory", "refine", "relative_measurements", "render_demo", "run", "run_in_stretches",
-    "run_many", "sampled_color", "search_bodies", "shipped_targets", "sync", "target_sheet",
-    "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
+    "Demo", "Finding", "FocalFrom", "FoundBody", "Image", "Keep", "Lens", "Level", "Mark",
+    "MarkKind", "Marking", "Measurement", "MirroredBoardError", "OtherBoard", "Outcome", "Pipeline",
+    "Profile", "ProgressClock", "RefineResult", "Registry", "RigWatch", "RigidTransform",
+    "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict",
+    "WaveState", "Workers", "begin_marks", "board_frame", "board_length", "body_names",
+    "build_pipeline", "calibrate", "calibrate_to", "check", "choose", "clicked_color", "demo",
+    "detect", "draw", "draw_target", "drawings", "evaluate", "evaluation_tables", "events",
+    "export", "find_body", "find_target", "inside", "learnt_colors", "load_profile", "mark_event",
+    "measure_bodies", "measure_session", "new_folder", "other_board", "output", "parse_click",
+    "parse_expectation", "parse_images", "profile_names", "read_board", "read_body",
+    "read_calibration", "read_trajectory", "refine", "relative_measurements", "render_demo", "run",
+    "run_in_stretches", "run_many", "sampled_color", "search_bodies", "shipped_targets", "sync",
+    "target_sheet", "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

@@ -13,9 +13,11 @@ import numpy as np
 
 from measure.api.profiles import build_pipeline
 from measure.api.warming_up import warm_pipeline
+from measure.calibration.keeping import HOLDING, CameraKeeper
 from measure.host import Detector, Registry
 from measure.measuring import Measurement, Pipeline, Profile, measure_together
 from measure.measuring.burn_in import calibrated, enter_realtime
+from measure.measuring.kept_rig import CameraChange, Keep
 from measure.model import Body, Camera, Detection, FrameSet
 from measure.session import Session
 
@@ -35,16 +37,46 @@ def measure_session(
 
 
 def measure_bodies(
-    session: Session, profile: Profile, registry: Registry, start: int = 0
+    session: Session,
+    profile: Profile,
+    registry: Registry,
+    start: int = 0,
+    keep: Keep = "off",
+    earlier: Sequence[CameraChange] = (),
 ) -> Iterator[tuple[FrameSet, tuple[Measurement, ...]]]:
     """`measure_session` for all of `session.bodies`, in order, each with its own pipeline.
 
     From frame set `start` on: detectors calibrate themselves on the first ones all the same, and
-    there is a run-up, of which nothing is yielded.
+    there is a run-up, of which nothing is yielded. Cameras that are moved meanwhile are kept, see
+    `keep_cameras`.
     """
     pipelines = [calibrated_pipeline(session, profile, registry, body) for body in session.bodies]
+    keep_cameras(pipelines, keep, earlier, start)
     measured = measure_frame_sets(pipelines, _with_run_up(session, start))
     yield from (one for one in measured if one[0].index >= start)
+
+
+def why_not_kept(bodies: int, cameras: int) -> str:
+    """Why cameras that are moved cannot be noticed and brought back; empty if they can."""
+    if bodies > 1:
+        return "cameras are not followed where several bodies are measured"
+    if cameras <= HOLDING:
+        return "cameras are not followed: of two that disagree nobody can tell which was moved"
+    return ""
+
+
+def keep_cameras(
+    pipelines: Sequence[Pipeline], keep: Keep, earlier: Sequence[CameraChange] = (), start: int = 0
+) -> None:
+    """Let pipelines notice cameras that are moved, and bring them back to "follow" them.
+
+    Args:
+        earlier: what was noticed before frame set `start`.
+    """
+    one = pipelines[0]
+    if keep != "off" and not why_not_kept(len(pipelines), len(one.cameras)):
+        follows = keep == "follow"
+        one.keeper = CameraKeeper(one.body, one.cameras, follows, earlier, start)
 
 
 def _with_run_up(session: Session, start: int) -> Iterator[FrameSet]:

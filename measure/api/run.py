@@ -9,7 +9,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any, get_args
 
-from measure.api.measuring import measure_bodies
+from measure.api.measuring import measure_bodies, why_not_kept
 from measure.api.run_log import LogOptions, RunLog
 from measure.checking import ColorlessCount
 from measure.checking.pictures import stamp_causes
@@ -17,8 +17,9 @@ from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Measurement, Profile
+from measure.measuring.kept_rig import Keep
 from measure.measuring.profile import Stage
-from measure.model import Body
+from measure.model import Body, FrameSet
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress, quiet
 from measure.results import Provenance, Run, RunWriter, Summary, check_run_folder, digest
@@ -38,6 +39,8 @@ class RunOptions(LogOptions):
     body: Path | Sequence[Path] | None = None
     # name of the body that the others are measured relative to, instead of the session's.
     reference: str | None = None
+    # what is done about cameras that are moved meanwhile; None: they are followed, where they can.
+    keep_calibration: Keep | None = None
 
     def open(self, session: Path) -> Session:
         """Open a session with these files."""
@@ -84,7 +87,10 @@ def run(
         ExitStack() as stack,
     ):
         total, kept = len(session.pair().times_s), writer.kept
-        measured = measure_bodies(session, profile, registry, kept) if kept < total else iter(())
+        measured: Iterator[tuple[FrameSet, tuple[Measurement, ...]]] = iter(())
+        if kept < total:
+            keep, earlier = options.keep_calibration or "follow", writer.camera_changes
+            measured = measure_bodies(session, profile, registry, kept, keep, earlier)
         # Stages that do not fit together or fail at the very first picture are met here: before a
         # folder is made, or an earlier run lost.
         first = list(islice(measured, 1))
@@ -116,7 +122,7 @@ def opened_run(
     with options.open(session_path) as session:
         total = len(session.pair().times_s)
         options.check_viewer()
-        origin = made_from(session, profile, registry)
+        origin = made_from(session, profile, registry, options.keep_calibration)
         with _writer(session, out, origin, options) as writer:
             if writer.kept:
                 on_note(f"resumed at frame set {writer.kept} of {total}")
@@ -143,6 +149,7 @@ def provenance(
     session_name: str,
     notes: tuple[str, ...],
     scale_sd: float,
+    keep: Keep | None = None,
 ) -> Provenance:
     """Everything that a run with this profile is made from; see `Provenance`."""
     loaded = {
@@ -160,11 +167,15 @@ def provenance(
         notes=notes,
         session_name=session_name,
         scale_sd=scale_sd,
+        keep=keep or "",
     )
 
 
-def made_from(session: Session, profile: Profile, registry: Registry) -> Provenance:
+def made_from(
+    session: Session, profile: Profile, registry: Registry, keep: Keep | None = None
+) -> Provenance:
     """Everything that a run of this session with this profile is made from."""
+    refused = why_not_kept(len(session.bodies), len(session.cameras)) if keep else ""
     causes = stamp_causes({name: stream.times_s for name, stream in session.streams.items()})
     return provenance(
         session.calibration_path,
@@ -179,8 +190,10 @@ def made_from(session: Session, profile: Profile, registry: Registry) -> Provena
             *(str(cause.finding) for cause in causes),
             *session.clock_notes([cause.of for cause in causes]),
             *_without_color(session),
+            *([refused] if refused and keep != "off" else []),
         ),
         scale_sd=session.scale_sd,
+        keep=keep,
     )
 
 

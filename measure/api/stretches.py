@@ -45,6 +45,8 @@ def run_in_stretches(
             it is kept.
     """
     options = options or RunOptions()
+    if options.keep_calibration != "off":
+        on_note("stretches are measured side by side: a camera that is moved is not followed")
     with opened_run(session_path, out, profile, registry, options, on_note) as (session, writer):
         total = len(session.pair().times_s)
         # Compiled once, and what does not fit together is met before a folder is made.

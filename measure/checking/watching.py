@@ -37,6 +37,10 @@ class RigWatch:
 
     def add(self, measured: Measurement) -> None:
         """Take a measurement, in order of time; start a look if one is due, and read one done."""
+        if measured.rig is not None and measured.rig.cameras is not self._cameras:
+            # What was seen before is no evidence on where cameras stand now.
+            self._cameras, self._before, self.causes = measured.rig.cameras, [], ()
+            self._latest.clear()
         self._latest.append(measured)
         if self._look is not None and self._look.done():
             found, self._look = self._look.result(), None

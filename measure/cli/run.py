@@ -16,6 +16,7 @@ from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import BodyOptions, InjectedRegistry, ProfileOptions, ViewerOptions
 from measure.errors import ConfigError
 from measure.limits import MOST_LISTED
+from measure.measuring.kept_rig import Keep
 from measure.results import Summary
 from measure.results.summary import WHICH_ACCURACY
 
@@ -30,12 +31,15 @@ class _ExecutionOptions:
         workers: how many processes measure several sessions side by side, as many as there are
             cores if omitted; or stretches of a long one, which this process measures if omitted.
         cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do so instead.
+        keep_calibration: a camera that is moved meanwhile is left out and brought back (`follow`,
+            as if omitted), named (`warn`), or measured with as it is (`off`).
     """
 
     resume: bool = False
     overwrite: Overwrite = False
     workers: int | None = None
     cluster: str | None = None
+    keep_calibration: Keep | None = None
 
 
 def run(
@@ -69,6 +73,7 @@ def run(
         calibration=calibration,
         body=bodies.body or None,
         reference=bodies.reference,
+        keep_calibration=execution.keep_calibration,
     )
     if not sessions:
         raise ConfigError("no session to measure: give its folder")
@@ -112,7 +117,7 @@ def print_summary(summary: Summary) -> None:
         more = len(reasons) - MOST_LISTED
         console.print_text(f"  and {more} rarer kinds, which summary.json lists")
     for note in summary.notes:
-        levelled = note.startswith(("wrong: ", "weak: "))
+        levelled = note.startswith(("wrong: ", "weak: ", "note: "))
         console.print_text(note if levelled else f"note: {note}")
 
 

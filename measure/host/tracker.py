@@ -44,6 +44,13 @@ class Tracker(Plugin):
         self.body = body
         self.cameras = tuple(cameras)
 
+    def use_cameras(self, cameras: Sequence[Camera]) -> None:
+        """From now on cameras of the same names stand elsewhere: one was moved, and is known anew.
+
+        A tracker that keeps more of its cameras than `self.cameras` overrides this.
+        """
+        self.cameras = tuple(cameras)
+
     @abstractmethod
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]] | None:
         """Where each ball is expected in each camera, by camera name.

@@ -12,6 +12,7 @@ from measure.estimation.expected_accuracy import tolerance_covariance
 from measure.model import BallPosition, BallView, Body, Pose
 
 if TYPE_CHECKING:
+    from measure.measuring.kept_rig import KeptRig
     from measure.measuring.time_alignment import FrameSetObservations
 
 
@@ -45,6 +46,8 @@ class Measurement:
     # cameras that show another camera's images, and are left out, with that one's name.
     copies: Mapping[str, str] = field(default_factory=dict)
     repeated: tuple[str, ...] = ()  # cameras that show their last image again
+    # the cameras as they were used, where it is kept which were moved meanwhile.
+    rig: KeptRig | None = None
 
     @property
     def doubts(self) -> str:

@@ -14,6 +14,7 @@ from measure.host import Detector, Plugin, PoseSolver, Tracker, Triangulator
 from measure.measuring import plugin_calls
 from measure.measuring.body_scale import ScaleMonitor
 from measure.measuring.duplicate_images import DuplicateImages, NewImages
+from measure.measuring.kept_rig import Keeper, KeptRig
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_surrounding_poses
 from measure.measuring.smeared_images import SmearedImages
@@ -54,6 +55,8 @@ class Pipeline:
         self._woven, self._smeared = WovenImages(), SmearedImages()
         self.stages = stages
         self.others: tuple[Pipeline, ...] = ()
+        self.keeper: Keeper | None = None  # of cameras that are moved meanwhile; None for none
+        self._rig: KeptRig | None = None
 
     def judge_pictures_as(self, other: Pipeline) -> None:
         """Begin with what another one has seen of the cameras' pictures: how they are taken."""
@@ -93,7 +96,7 @@ class Pipeline:
 
     def _draft(self, frame_set: FrameSet, pool: Executor) -> Draft:
         new = self._duplicates.without_duplicates(frame_set, pool.map)
-        frame_set = new.frame_set
+        frame_set = self._without_cameras_away(new.frame_set)
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
             skipped = Measurement(
@@ -113,7 +116,33 @@ class Pipeline:
         review = self.stages.tracker.doubt(frame_set)
         if review is not None:
             review(self._detect(frame_set, {}, pool))
+        if self.keeper is not None:
+            draft = self._kept(self.keeper, new.frame_set, draft, pool)
         return self._with_picture_faults(draft, new)
+
+    def _without_cameras_away(self, frame_set: FrameSet) -> FrameSet:
+        """The frame set without cameras that are left out by now; the others as they stand now."""
+        if self.keeper is None:
+            return frame_set
+        rig = self.keeper.rig(frame_set.index)
+        if rig is not self._rig:
+            if rig.changes:
+                self._cameras = {camera.name: camera for camera in rig.cameras}
+                self.stages.tracker.use_cameras(rig.cameras)
+            self._rig = rig
+        if not rig.away:
+            return frame_set
+        images = {n: image for n, image in frame_set.images.items() if n not in rig.away}
+        return replace(frame_set, images=images)
+
+    def _kept(self, keeper: Keeper, frame_set: FrameSet, draft: Draft, pool: Executor) -> Draft:
+        """Look at cameras that may have been moved; the draft with what they show."""
+        measured = replace(draft.measurement, frames=_frames(frame_set), rig=self._rig)
+        motion = self.stages.tracker.motion(measured.time_s)
+        wanted = keeper.looks(frame_set, measured, motion)
+        images = {name: frame_set.images[name] for name in wanted}
+        found = self._detect(replace(frame_set, images=images), wanted, pool)
+        return replace(draft, measurement=keeper.note(measured, found))
 
     def _with_picture_faults(self, draft: Draft, new: NewImages) -> Draft:
         """Name cameras whose images are not theirs, woven or blurred; flag what those spoil."""
@@ -238,7 +267,7 @@ class Pipeline:
         if motion is not None and self.stages.per_image_timestamps:
             used = seen.at_instant(motion)
         positions = plugin_calls.positions(
-            self.stages.triangulator, used, self._cameras, self.body, seen.time_s
+            self.stages.triangulator, used, seen.cameras, self.body, seen.time_s
         )
         return tuple(
             [p if p.time_s == seen.time_s else replace(p, time_s=seen.time_s) for p in positions]
@@ -249,7 +278,7 @@ class Pipeline:
     ) -> Pose | None:
         if not seen.detections:
             return None
-        solver, cameras = self.stages.solver, self._cameras
+        solver, cameras = self.stages.solver, seen.cameras
         pose = plugin_calls.pose(solver, positions, seen.detections, cameras, seen.time_s, prior)
         if pose is None or prior is None or not self.stages.per_image_timestamps:
             return pose

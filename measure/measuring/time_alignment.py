@@ -25,6 +25,7 @@ class FrameSetObservations:
     time_s: float  # the common instant
     times_s: tuple[float, ...]  # their own times, each once
     rows: PoseObservations | None  # the same as arrays; None if there are none
+    cameras: Mapping[str, Camera]  # all of them, by name, as they stand at that instant
     # standard deviations of the images' stamps by camera, where they are known.
     time_sds_s: Mapping[str, float] = field(default_factory=dict)
 
@@ -46,7 +47,7 @@ class FrameSetObservations:
         seen = tuple([v.detection for v in views if v.effective and v.detection is not None])
         times_s = tuple(dict.fromkeys([d.time_s for d in seen]))
         stacked = PoseObservations.of(seen, body, cameras, time_s) if seen else None
-        return cls(seen, time_s, times_s, stacked, time_sds_s or {})
+        return cls(seen, time_s, times_s, stacked, cameras, time_sds_s or {})
 
     def at_instant(self, motion: Motion) -> list[Detection]:
         """The detections with their centres moved to the common instant by the predicted motion.

@@ -72,6 +72,7 @@ class Reason(StrEnum):
     INCONSISTENT = "disagrees with the other cameras"
     RECOVERING = "good again, but not yet for long enough"
     NO_IMAGE = "no image"
+    MOVED = "its camera was moved"
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -18,6 +18,7 @@ from measure.errors import RunError
 from measure.host.settings import explain_validation
 from measure.reading import parse_toml, read_toml_text
 from measure.results.journal import MEND
+from measure.results.rig_changes import ChangeTable
 
 _LIBRARIES = ("triball", "numpy", "scipy", "opencv-python-headless", "numba", "av")
 
@@ -37,6 +38,7 @@ class Provenance:
     notes: tuple[str, ...] = ()  # what the session left to be known: missing pictures and the like
     session_name: str = ""  # what the session is called; empty if not known
     scale_sd: float = 0.0  # of the world: see `Calibration`; the poses' covariances are without it
+    keep: str = ""  # what was asked for of cameras that are moved; empty if nothing
 
     @classmethod
     def of(cls, written: Mapping[str, Any]) -> Provenance:
@@ -55,6 +57,7 @@ class Provenance:
             notes=tuple(of_session.get("notes", ())),
             session_name=of_session.get("name", ""),
             scale_sd=of_rig.get("scale_sd", 0.0),
+            keep=of_rig.get("keep", ""),
         )
 
     def values(self) -> dict[str, Any]:
@@ -71,6 +74,7 @@ class Provenance:
                 "path": self.calibration,
                 "sha256": self.calibration_digest,
                 "scale_sd": self.scale_sd,
+                "keep": self.keep or None,
             },
             "body": {"sha256": self.body_digest},
             "profile": self.profile,
@@ -86,6 +90,11 @@ class Provenance:
             for name in ("session", "calibration", "body")
             if ours[name]["sha256"] != written.get(name, {}).get("sha256")
         ]
+        kept = written.get("calibration", {}).get("keep", "")
+        if kept != self.keep:
+            changed.append(
+                f"--keep-calibration ({kept or 'unset'} then, {self.keep or 'unset'} now)"
+            )
         for part in ("profile", "plugins"):
             now, then = flat(ours[part], part), flat(written.get(part, {}), part)
             changed += [
@@ -128,6 +137,7 @@ class _RunSessionTable(BaseModel):
 class _CalibrationTable(BaseModel):
     path: str = ""
     scale_sd: float = 0.0
+    keep: str = ""
 
 
 class _RunFile(BaseModel):
@@ -140,6 +150,7 @@ class _RunFile(BaseModel):
     profile: dict[str, Any] = {}
     plugins: dict[str, Any] = {}
     versions: dict[str, Any] = {}
+    camera_changes: list[ChangeTable] = []
 
 
 def flat(values: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -13,12 +13,21 @@ import numpy as np
 import pyarrow as pa
 
 from measure.arrays import Bools, Floats
+from measure.checking.finding import worst_first
 from measure.errors import RunError
 from measure.geometry import RigidTransform, propagate
+from measure.measuring.kept_rig import CameraChange
 from measure.model import Body, Camera
 from measure.results.distances import BallDistance, ball_distances, contradictions, rig_findings
 from measure.results.journal import is_missing, read_table
 from measure.results.provenance import read_provenance
+from measure.results.rig_changes import (
+    CameraMove,
+    as_calibrated,
+    camera_moves,
+    changes_of,
+    moved_findings,
+)
 from measure.results.stored import read_tables, rows_of_body
 from measure.results.summary import Summary, summarise
 from measure.results.tables import PLACE, RELATIVE_SCHEMA, SCHEMAS, matrices, numbers, texts
@@ -53,10 +62,23 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        about = rig_findings(
-            self.body, self.cameras, self.distances, self.detections, self.poses, notes
-        )
+        seen = as_calibrated(self.detections, self.camera_changes)
+        about = rig_findings(self.body, self.cameras, self.distances, seen, self.poses, notes)
+        follows = self.provenance.get("calibration", {}).get("keep") != "warn"
+        if moves := self.camera_moves:
+            moved = moved_findings(moves, float(self.times_s[0]), follows)
+            about = worst_first((*moved, *about))
         return summarise(self.detections, self.poses, notes, about, self.scale_sd)
+
+    @cached_property
+    def camera_changes(self) -> tuple[CameraChange, ...]:
+        """Cameras that were left out, and used again where they stood then; in order."""
+        return changes_of(self.provenance)
+
+    @property
+    def camera_moves(self) -> list[CameraMove]:
+        """The times that a camera was moved."""
+        return camera_moves(self.camera_changes, self.cameras, self.times_s)
 
     @cached_property
     def distances(self) -> list[BallDistance]:

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from measure.errors import RunError
 from measure.measuring import Measurement
+from measure.measuring.kept_rig import CameraChange
 from measure.model import Body, Camera
 from measure.results.folder import FolderLock, check_run_folder, clear, own_files, refuse_folder
 from measure.results.journal import (
@@ -25,7 +26,8 @@ from measure.results.journal import (
     unfinished,
     writing,
 )
-from measure.results.provenance import Provenance
+from measure.results.provenance import Provenance, read_provenance
+from measure.results.rig_changes import CHANGES, change_values, changes_of
 from measure.results.run import Run, runs_of
 from measure.results.stored import read_tables, refuse_other_run
 from measure.results.summary import Summary, together
@@ -87,6 +89,7 @@ class RunWriter:
         self._resume, self._overwrite, self._clock = resume, overwrite, clock
         self._tables = {name: schema.empty_table() for name, schema in self._schemas.items()}
         self.kept = self._frame_sets = 0
+        self.camera_changes: tuple[CameraChange, ...] = ()  # that hold for the frame sets so far
         self._lock: FolderLock | None = None
         self._files = ExitStack()
         self._begun = False
@@ -136,6 +139,8 @@ class RunWriter:
                 clear(self._folder)
                 with replacing(self._folder / "run.toml") as file:
                     file.write_text(dump_toml(self._provenance.values()), "utf-8")
+            elif CHANGES in read_provenance(self._folder / "run.toml"):
+                self._write_changes(self.camera_changes)  # without those of rows that were lost
             self._write_copies()
             self._open_files()
             # Only now: of a run that was only begun tables may be missing.
@@ -147,7 +152,19 @@ class RunWriter:
 
         RunError: it cannot be written (disk full), what was written before is kept.
         """
+        rig = measured[0].rig
+        if rig is not None and len(rig.changes) != len(self.camera_changes):
+            self.begin()
+            self._write_changes(rig.changes)
         self.append_rows(frame_set_rows(self._bodies, measured, self._reference, self._cameras), 1)
+
+    def _write_changes(self, changes: tuple[CameraChange, ...]) -> None:
+        """Write down where cameras stand from now on."""
+        self.camera_changes = changes
+        with writing(self._folder):
+            values = read_provenance(self._folder / "run.toml")
+            with replacing(self._folder / "run.toml") as file:
+                file.write_text(dump_toml(values | change_values(changes)), "utf-8")
 
     def append_rows(self, rows: Rows, frame_sets: int) -> None:
         """The same of the rows of some frame sets, from `frame_set_rows`."""
@@ -185,7 +202,7 @@ class RunWriter:
         return together({run.body.name: run.summary for run in runs}, tables["poses"])
 
     def _runs(self, tables: dict[str, pa.Table], finished: bool) -> list[Run]:
-        made_from = self._provenance.values()
+        made_from = self._provenance.values() | change_values(self.camera_changes)
         return runs_of(made_from, self._bodies, self._folder, self._cameras, tables, finished)
 
     def _goes_on(self) -> bool:
@@ -209,6 +226,8 @@ class RunWriter:
                 )
                 rows = self._tables["poses"].num_rows
                 self.kept = self._frame_sets = rows // len(self._bodies)
+                changes = changes_of(read_provenance(self._folder / "run.toml"))
+                self.camera_changes = tuple(c for c in changes if c.frame_set < self.kept)
         except BaseException:
             self._lock.release()
             raise

@@ -12,6 +12,7 @@ REASONS = {
     Reason.INCONSISTENT: (255, 60, 60),
     Reason.RECOVERING: (90, 190, 255),
     Reason.NO_IMAGE: (110, 110, 110),
+    Reason.MOVED: (150, 70, 200),
 }
 UNKNOWN = (150, 150, 150)
 AXES_MM = 40.0  # Length of a body's axes, as they are drawn

@@ -63,6 +63,7 @@ def run_report(
             _add_accuracy(page, run)
         if run.detections.num_rows:
             _add_views(page, run)
+        _add_moves(page, run)
         _add_distances(page, run)
     page.about = ""
     if picture is not None:
@@ -264,6 +265,28 @@ def _states(run: Run) -> tuple[Ints, list[str], list[str]]:
         pc.fill_null(reason, "effective"), pa.array(reasons)
     ).to_numpy()
     return codes, views, reasons
+
+
+def _add_moves(page: Page, run: Run) -> None:
+    """Cameras that were moved meanwhile, and from when to when they were left out."""
+    if not run.camera_moves:
+        return
+    begun = run.times_s[0]
+    page.table(
+        "Cameras that were moved",
+        "When each was moved, from when on it was used again where it stood then, and how far that "
+        "is from where it was before. `run.toml` has its new pose with the covariance.",
+        ("camera", "moved at s", "used again at s", "shift mm", "turn deg", "its SD deg"),
+        [
+            (
+                one.camera,
+                one.since_s - begun,
+                None if one.until_s is None else one.until_s - begun,
+                *(one.shift_mm, one.turn_deg, one.turn_sd_deg),
+            )
+            for one in run.camera_moves
+        ],
+    )
 
 
 def _add_distances(page: Page, run: Run) -> None:

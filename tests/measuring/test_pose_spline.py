@@ -113,7 +113,7 @@ def test_no_more_is_read_ahead_than_needed():
 
 def test_only_pictures_of_different_instants_have_neighbours():
     together, apart = (
-        FrameSetObservations((), 0.0, times_s, None) for times_s in ((0.0,), (0.0, 0.01))
+        FrameSetObservations((), 0.0, times_s, None, {}) for times_s in ((0.0,), (0.0, 0.01))
     )
     drafts = [replace(draft(k), seen=apart if k == 2 else together) for k in range(5)]
     counts = [(len(before), len(after)) for before, _, after in with_surrounding_poses(drafts)]

@@ -133,7 +133,7 @@ def freed(
     """Some cameras freed by what of them was off, and refined; CalibrationError as `refine_rig`."""
     tried: list[tuple[float, FreedRig]] = []
     for moved in (True, False):
-        rig, joint = _loosened(cameras, names, moved)
+        rig, joint = loosened(cameras, names, moved)
         refinement = refine_rig(rig, body, recording, settings, joint)
         criterion = 0.0
         for name in names:  # neighbouring pictures are alike
@@ -144,7 +144,7 @@ def freed(
     return min(tried, key=lambda one: one[0])[1]
 
 
-def _loosened(
+def loosened(
     cameras: Sequence[Camera], names: Sequence[str], moved: bool
 ) -> tuple[tuple[Camera, ...], Floats]:
     """The cameras, and a covariance that frees poses or lenses of some and holds all else."""

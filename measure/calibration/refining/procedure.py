@@ -30,7 +30,7 @@ from measure.limits import CLEAR_RATIO, FEWEST, SPREAD_OVER
 from measure.measuring import Measurement
 from measure.model import Body, Camera, Detection
 
-_UNTRIED_VARIANCE_FACTOR = 4.0
+UNTRIED_VARIANCE_FACTOR = 4.0
 """Variance factor without halves to compare: they often differ by two standard deviations."""
 _MIN_EIGENVALUE_RATIO = 1e-3
 
@@ -40,7 +40,7 @@ class Halves:
     """Result of the comparison."""
 
     # variance of the views' errors over that estimated from residuals.
-    variance_factor: float = _UNTRIED_VARIANCE_FACTOR
+    variance_factor: float = UNTRIED_VARIANCE_FACTOR
     # median residual of each half's views, with the first cameras and with those refined on the
     # other half; NaN if they could not be compared.
     held_out_px: tuple[float, float] = (float("nan"), float("nan"))

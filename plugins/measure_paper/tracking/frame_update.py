@@ -98,6 +98,11 @@ class FrameUpdate(Tracker):
         self._circles: dict[tuple[str, str], Circle] = {}
         self._forget_circles()
 
+    def use_cameras(self, cameras: Sequence[Camera]) -> None:
+        """From now on the cameras stand elsewhere."""
+        super().use_cameras(cameras)
+        self._cameras = {camera.name: camera for camera in cameras}
+
     @property
     def tolerance(self) -> float:
         """The factor on all tolerable ranges: 1 in normal tracking, more after a restart."""

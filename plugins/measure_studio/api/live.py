@@ -11,13 +11,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from measure.api import Cause, Measurement, Pipeline, Profile, RigWatch, relative_measurements
+from measure.api import Cause, Keep, Measurement, Pipeline, Profile, RigWatch, relative_measurements
 from measure.api.folders import mark_event
-from measure.api.measuring import live_pipelines, measure_frame_sets
+from measure.api.measuring import keep_cameras, live_pipelines, measure_frame_sets, why_not_kept
 from measure.api.outputs import check_folder
 from measure.api.profiles import build_pipeline
 from measure.api.run import provenance
@@ -43,6 +42,8 @@ class LiveOptions(recording.CaptureOptions, LogOptions, SendOptions):
     record: Path | None = None  # a session folder to record the pictures into as well
     reference: str = ""  # name of the body that others are measured relative to; empty without one
     marks: tuple[str, ...] = ()  # where event marks come from, see `marks_received`
+    # what is done about cameras that are moved meanwhile; None: they are followed, where they can.
+    keep_calibration: Keep | None = None
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,7 @@ def live(
         # Each call begins with the frame sets that come then.
         frame_sets = partial(gathering.frame_sets, opened.begin(*takers), rig.check)
         pipelines = live_pipelines(prepared.warm, prepared.build, frame_sets)
+        keep_cameras(pipelines, options.keep_calibration or "follow")
         looking = stack.enter_context(ThreadPoolExecutor(1))
         watches = [RigWatch(body, sent.cameras, looking) for body in sent.bodies]
         state, watch = None, _PaceMeter(gathering, rig, watches)
@@ -212,19 +214,34 @@ def _prepare(
         sources,
         partial(build_pipeline, profile, registry),
         [warm_pipeline(profile, registry, body, calibrated) for body in measured],
-        _made_from(options, known.scale_sd, calibration, measured, profile, registry),
+        _made_from(options, known.scale_sd, len(cameras), calibration, measured, profile, registry),
     )
 
 
-def _made_from(options: LiveOptions, scale_sd: float, *known: Any) -> Provenance:
+def _made_from(
+    options: LiveOptions,
+    scale_sd: float,
+    cameras: int,
+    calibration: Path,
+    bodies: Sequence[Body],
+    profile: Profile,
+    registry: Registry,
+) -> Provenance:
     record = None if options.record is None else options.record.resolve()
+    keep, refused = options.keep_calibration, ""
+    if keep not in (None, "off"):
+        refused = why_not_kept(len(bodies), cameras)
     return provenance(
-        *known,
+        calibration,
+        bodies,
+        profile,
+        registry,
         session="" if record is None else str(record / "session.toml"),
         session_digest="",  # of pictures that are yet to come
         session_name="live" if record is None else record.name,
-        notes=("measured live",),
+        notes=("measured live", *filter(None, [refused])),
         scale_sd=scale_sd,
+        keep=keep,
     )
 
 

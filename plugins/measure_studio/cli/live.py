@@ -10,7 +10,7 @@ from pathlib import Path
 from cyclopts import Parameter
 
 from measure import api
-from measure.api import Measurement
+from measure.api import Keep, Measurement
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import BodyOptions, InjectedRegistry, ProfileOptions, ViewerOptions
@@ -52,6 +52,7 @@ def live(
     method: ProfileOptions = ProfileOptions(),
     viewer: ViewerOptions = ViewerOptions(),
     capture: CameraOptions = CameraOptions(),
+    keep_calibration: Keep | None = None,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -64,6 +65,8 @@ def live(
     Args:
         cameras: NAME=ADDRESS each, two at least, as for `measure record`.
         calibration: the cameras' calibration.
+        keep_calibration: a camera that is moved meanwhile is left out and brought back (`follow`,
+            as if omitted), named (`warn`), or measured with as it is (`off`).
     """
     schemes = {address.partition(":")[0] for address in to.send}
     ours = tuple(text for text in method.set_ if text.partition(".")[0] in schemes)
@@ -82,6 +85,7 @@ def live(
         overwrite=to.overwrite,
         reference=bodies.reference or "",
         on_outage=note_outage,
+        keep_calibration=keep_calibration,
     )
     if not bodies.body:
         raise ConfigError("what is to be measured? give --body FILE")
