@@ -29,6 +29,7 @@ from measure.api.lenses import FocalFrom, Lens
 from measure.api.many import Outcome, run_many
 from measure.api.marking import MARK_KINDS, TAG_FAMILIES, Mark, Marking, MarkKind, begin_marks
 from measure.api.measuring import measure_bodies, measure_session
+from measure.api.mend import Mended, mend
 from measure.api.outputs import new_folder, output
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.refining import BodySearch, FoundBody, RefineResult, find_body, refine
@@ -65,15 +66,15 @@ __all__ = [
     "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "Body", "BodySearch",
     "Calibration", "CalibrationResult", "Camera", "Cause", "Charuco", "Chessboard", "Corners",
     "Demo", "Finding", "FocalFrom", "FoundBody", "Image", "Keep", "Lens", "Level", "Mark",
-    "MarkKind", "Marking", "Measurement", "MirroredBoardError", "OtherBoard", "Outcome", "Pipeline",
-    "Profile", "ProgressClock", "RefineResult", "Registry", "RigWatch", "RigidTransform",
-    "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict",
-    "WaveState", "Workers", "begin_marks", "board_frame", "board_length", "body_names",
-    "build_pipeline", "calibrate", "calibrate_to", "check", "choose", "clicked_color", "demo",
-    "detect", "draw", "draw_target", "drawings", "evaluate", "evaluation_tables", "events",
+    "MarkKind", "Marking", "Measurement", "Mended", "MirroredBoardError", "OtherBoard", "Outcome",
+    "Pipeline", "Profile", "ProgressClock", "RefineResult", "Registry", "RigWatch",
+    "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet",
+    "SyncedClock", "Verdict", "WaveState", "Workers", "begin_marks", "board_frame", "board_length",
+    "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose", "clicked_color",
+    "demo", "detect", "draw", "draw_target", "drawings", "evaluate", "evaluation_tables", "events",
     "export", "find_body", "find_target", "inside", "learnt_colors", "load_profile", "mark_event",
-    "measure_bodies", "measure_session", "new_folder", "other_board", "output", "parse_click",
-    "parse_expectation", "parse_images", "profile_names", "read_board", "read_body",
+    "measure_bodies", "measure_session", "mend", "new_folder", "other_board", "output",
+    "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board", "read_body",
     "read_calibration", "read_trajectory", "refine", "relative_measurements", "render_demo", "run",
     "run_in_stretches", "run_many", "sampled_color", "search_bodies", "shipped_targets", "sync",
     "target_sheet", "write_body", "write_calibration", "write_measured_board", "write_sampled_body",

@@ -37,9 +37,11 @@ from measure.checking.causes import ALL, Cause, Word, beside, with_weak
 from measure.checking.clocks import CameraClock
 from measure.checking.coverage import disagreeing_causes
 from measure.checking.diagnosis import Diagnosis, clock_cause, diagnose_recording
+from measure.checking.evidence import Evidence
 from measure.checking.motion import MotionCheck, check_motion, flag_findings
 from measure.checking.pictures import gaps_alone, smear_causes, stamp_causes, woven_causes
 from measure.checking.search import loose_sample
+from measure.checking.sightings import evidence_of
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
@@ -108,7 +110,7 @@ def check(
         name, frame_sets, found = check_files(session_path, lacking, progress)
         return SessionCheck(name, frame_sets, frame_sets, found)
     with open_session(session_path, calibration, body, clocks_apart=clock_samples > 0) as session:
-        looking = _Looking(
+        looking = Looking(
             session, registry, profile or load_profile(), samples, clock_samples, progress
         )
         look = looking.with_clocks_set() if clock_samples else looking.look()
@@ -116,7 +118,7 @@ def check(
         return _concluded(session, look, findings)
 
 
-def _concluded(session: Session, look: _Look, findings: list[Finding]) -> SessionCheck:
+def _concluded(session: Session, look: Look, findings: list[Finding]) -> SessionCheck:
     if session.other_bodies:
         others = ", ".join(body.name for body in session.other_bodies)
         alone = f"checked with '{session.body.name}' alone; with --body FILE also {others}"
@@ -188,7 +190,7 @@ def _accuracy(session: Session, searched: Sequence[SearchSample]) -> Floats | No
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class Look:
     """What one look at a recording has shown."""
 
     frame_sets: int
@@ -198,8 +200,12 @@ class _Look:
     pictures: Sequence[Finding]
     causes: tuple[Cause, ...]
     diagnosis: Diagnosis
+    measured: Sequence[Measurement] = ()
+    # what was seen of the body, where its pose is known; None if it never is.
+    evidence: Evidence | None = None
     # by camera, what was added to its stamps before.
     ahead_s: Mapping[str, float] = field(default_factory=dict)
+    as_stamped: Look | None = None  # the look before that, if there was one
 
     @property
     def doubtful(self) -> bool:
@@ -215,7 +221,7 @@ class _Look:
         found = {cause.of: 1e-3 * (cause.estimate or 0.0) for cause in clocks}
         return {name: off_s for name, off_s in found.items() if abs(off_s) > _FAR_S}
 
-    def agrees_better(self, before: _Look) -> bool:
+    def agrees_better(self, before: Look) -> bool:
         """Whether cameras agree as they are now at least as with all causes of before allowed."""
         left = max(2.0 * before.diagnosis.left, 0.5 * before.diagnosis.misfit)
         return self.posed >= before.posed and self.diagnosis.misfit <= left
@@ -227,7 +233,7 @@ class _Look:
 
 
 @dataclass(eq=False)
-class _Looking:
+class Looking:
     """How a recording is looked at; the arguments of `measure.api.check`."""
 
     session: Session
@@ -241,7 +247,7 @@ class _Looking:
         warm_pipeline(self.profile, self.registry, self.session.body, self.session.cameras)
         self._begin()
 
-    def with_clocks_set(self) -> _Look:
+    def with_clocks_set(self) -> Look:
         """Look, and where clocks are far off again with them set right.
 
         Where cameras disagree by much, their own motion is asked for their clocks. Its answer is
@@ -267,7 +273,7 @@ class _Looking:
         assert look is not None
         return self._look_again(look.late_s, look) or look
 
-    def _look_again(self, late_s: Mapping[str, float], before: _Look | None) -> _Look | None:
+    def _look_again(self, late_s: Mapping[str, float], before: Look | None) -> Look | None:
         """A look with clocks set right; None, and undone, if cameras do not agree better then."""
         if not late_s:
             return None
@@ -281,11 +287,14 @@ class _Looking:
             late = [clock_cause(name, off_s, clocks.get(name)) for name, off_s in ahead_s.items()]
             rest = [cause for cause in look.causes if cause.cause is not Word.CLOCK]
             motion = look.motion.with_clocks_ahead(ahead_s)
-            return replace(look, motion=motion, ahead_s=ahead_s, causes=(*late, *rest))
+            as_stamped = before and (before.as_stamped or before)
+            return replace(
+                look, motion=motion, ahead_s=ahead_s, causes=(*late, *rest), as_stamped=as_stamped
+            )
         shift_clocks(self.session, {name: -late for name, late in late_s.items()})
         return None
 
-    def look(self) -> _Look:
+    def look(self) -> Look:
         """Search some frame sets, and measure the first."""
         session = self.session
         searched, every = list[SearchSample](), list[Mapping[str, Sequence[Detection]]]()
@@ -333,7 +342,11 @@ class _Looking:
             causes = _together(causes, diagnosis, [*shape.causes], searched, sized)
         causes = with_weak(causes, [*self._stalls(duplicates), *overexposed.causes()])
         pictures = colorless.findings()
-        return _Look(self._total, searched, shape, motion, pictures, tuple(causes), diagnosis)
+        evidence = diagnosis.evidence or evidence_of(searched, every, measured, body, cameras)
+        return Look(
+            self._total, searched, shape, motion, pictures, tuple(causes), diagnosis, measured,
+            evidence,
+        )  # fmt: skip
 
     def _repeated_in(self, numbers: Mapping[str, int], duplicates: DuplicateCount) -> set[str]:
         """Cameras whose image of a frame set, by its number, is known to repeat the one before."""

@@ -54,7 +54,8 @@ def channel_causes(
         f"with the two put back (in {len(tried)} frame sets tried)"
     )
     cure = "exchange the channels (BGR and RGB) where the pictures are written, and record again"
-    return [Cause(Word.EXCHANGED_CHANNELS, of, text, cure, Level.WRONG)]
+    instead = dict.fromkeys(right, "blue")
+    return [Cause(Word.EXCHANGED_CHANNELS, of, text, cure, Level.WRONG, instead=instead)]
 
 
 def _exchanged(

@@ -22,8 +22,8 @@ _FEWEST, _TRIED = 3, 6  # Frame sets
 _AGREES, _BELIEVED = 0.5, 0.8
 """Shares of them from which all cameras agree as they are, and with a mistake undone."""
 _FEW = 4  # Cameras up to which every order is tried; of more, exchanges of two
-_TURNS = {"mirrored": (-1, 1), "upside down": (-1, -1), "mirrored top to bottom": (1, -1)}
-"""By what is wrong with a picture, the signs of its coordinates about its middle."""
+_TURNS = {"left to right": (-1, 1), "upside down": (-1, -1), "top to bottom": (1, -1)}
+"""By how a picture is stored, the signs of its coordinates about its middle."""
 
 Seen = Mapping[str, Sequence[Detection]]
 """Balls found in whole pictures of one frame set, by camera name."""
@@ -43,6 +43,11 @@ class _Exchanged:
     def names(self) -> tuple[str, ...]:
         """The cameras concerned."""
         return tuple(self.source)
+
+    @property
+    def instead(self) -> Mapping[str, str]:
+        """By camera the one whose pictures are under its name."""
+        return self.source
 
     def undone(self, seen: Seen, cameras: Mapping[str, Camera]) -> Seen:
         """What would have been found without it."""
@@ -88,7 +93,13 @@ class _TurnedOver:
         ]
 
     def __str__(self) -> str:
-        return f"the pictures of {', '.join(self.names)} are {self.way}"
+        how = {"left to right": "mirrored", "top to bottom": "mirrored top to bottom"}
+        return f"the pictures of {', '.join(self.names)} are {how.get(self.way, self.way)}"
+
+    @property
+    def instead(self) -> Mapping[str, str]:
+        """By camera how its pictures are stored."""
+        return dict.fromkeys(self.names, self.way)
 
 
 def arrangement_causes(
@@ -126,7 +137,7 @@ def arrangement_causes(
     )
     remedy = f"{mistake.cure}; nothing else is judged before"
     of = ALL if len(mistake.names) == len(cameras) else ", ".join(mistake.names)
-    return [Cause(mistake.word, of, text, remedy, Level.WRONG)]
+    return [Cause(mistake.word, of, text, remedy, Level.WRONG, instead=mistake.instead)]
 
 
 def _mistakes(cameras: Mapping[str, Camera]) -> Iterator[_Exchanged | _TurnedOver]:

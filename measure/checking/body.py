@@ -109,7 +109,8 @@ def _swap(distances: Sequence[Compared], body: Body) -> Cause | None:
                 "in the body file: the distances fit when they change places"
             )
             cure = "exchange them in the body file"
-            return Cause(Word.EXCHANGED_BALLS, ", ".join(moved), text, cure, Level.WRONG)
+            of, instead = ", ".join(moved), {name: new[name] for name in moved}
+            return Cause(Word.EXCHANGED_BALLS, of, text, cure, Level.WRONG, instead=instead)
     return None
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from measure.checking.finding import Finding, Level
@@ -39,8 +39,14 @@ class Word(StrEnum):
 NAMED_SIGMAS, WRONG_SIGMAS = 3.0, 6.0
 """Standard deviations by which an estimate differs from a rig that is right: of fewer it is no
 cause, and of fewer than the latter it is weak at most."""
+MEND = "`measure mend SESSION -o MENDED`"
+"""The command that takes a cause out of a copy."""
 ALL = "all"
 """What a cause concerns that concerns all cameras or balls."""
+BY_HAND = (
+    Word.SAME_PICTURES, Word.REPEATED, Word.EXPOSURE, Word.INTERLACED, Word.BLURRED, Word.UNKNOWN,
+)  # fmt: skip
+"""What is wrong with pictures themselves, and no other calibration, body or stamps mend."""
 TOPICS = {
     Word.CLOCK: "clock",
     Word.CLOCK_STEP: "clock",
@@ -79,6 +85,18 @@ class Cause:
     # what else explains it as well, as "clock of cam1".
     rivals: tuple[str, ...] = ()
     since_s: float | None = None  # from when on, if not from the start
+    # what is exchanged with what, or how pictures are stored, by camera or ball.
+    instead: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def mendable(self) -> bool:
+        """Whether `measure mend` can take it out of a copy of calibration, body and stamps.
+
+        Not if it is open which of two cameras is off, or which sign of a body file is wrong.
+        """
+        told = self.cause is not Word.MIRRORED or bool(self.instead)
+        one = "," not in self.of or self.cause not in (Word.MOVED, Word.MOVED_AT)
+        return told and one and self.cause not in BY_HAND
 
     @property
     def deviations(self) -> float:
@@ -91,6 +109,7 @@ class Cause:
     def finding(self) -> Finding:
         """The line of a check."""
         text = f"{self.text}{rivals_text(self.rivals)}: {self.remedy}"
+        remedy = f"{self.remedy}; or {MEND}" if self.mendable else self.remedy
         return Finding(
             self.level,
             TOPICS.get(self.cause, "calibration"),
@@ -102,7 +121,7 @@ class Cause:
             unit=self.unit,
             since_s=self.since_s,
             rivals=self.rivals,
-            remedy=self.remedy,
+            remedy=remedy,
         )
 
 
@@ -136,11 +155,11 @@ def rivals_text(rivals: tuple[str, ...]) -> str:
     """What cannot be told apart, for the middle of a line; empty if nothing is."""
     if not rivals:
         return ""
-    each = [_in_words(*rival.split(" of ", 1)) for rival in rivals]
+    each = [in_words(*rival.split(" of ", 1)) for rival in rivals]
     return f", or {', or '.join(each)} (this recording cannot tell which)"
 
 
-def _in_words(word: str, of: str) -> str:
+def in_words(word: str, of: str) -> str:
     """A rival's code and what it concerns."""
     own, every = _RIVALS.get(Word(word), (f"{word} of {{of}}", f"{word} of all"))
     return every if of == ALL else own.format(of=of)

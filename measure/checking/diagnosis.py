@@ -40,6 +40,8 @@ class Diagnosis:
     # causes allowed for.
     misfit: float = 0.0
     left: float = 0.0
+    evidence: Evidence | None = None  # what it explains
+    found: tuple[Explanation, ...] = ()  # what of it was fitted
 
     @property
     def fits(self) -> bool:
@@ -84,7 +86,7 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
         causes.insert(0, _wandering(name, size_px, found[0].wrong))
     elif fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
         causes.insert(0, _unknown(worst_camera(evidence, fit), causes))
-    return Diagnosis(tuple(causes), misfit, left)
+    return Diagnosis(tuple(causes), misfit, left, evidence, tuple(found))
 
 
 _EITHER = (Word.MOVED, Word.MOVED_AT, Word.ZOOM, Word.POINT)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Bools, Floats, Ints
 from measure.geometry import RigidTransform, chart_jacobian
 from measure.model import Body, Camera, Detection
 
@@ -131,6 +131,19 @@ class Evidence:
 
     def __len__(self) -> int:
         return len(self.views)
+
+    def part(self, kept: Bools) -> Evidence:
+        """Of some instants (k,) alone."""
+        rows = kept[self.instants]
+        own = {name: getattr(self, name)[rows] for name in _OF_VIEWS}
+        own["instants"] = (np.cumsum(kept) - 1)[own["instants"]]
+        return replace(
+            self,
+            times_s=self.times_s[kept],
+            poses=_each(self.poses, np.flatnonzero(kept)),
+            velocities=self.velocities[kept],
+            **own,
+        )
 
     @property
     def size(self) -> int:
@@ -282,6 +295,7 @@ def _outline_px(by_world: Floats, radii: Floats, away: Floats) -> Floats:
     return np.where(radius_px > 0, radius_px, np.nan)
 
 
+_OF_VIEWS = ("instants", "views", "balls", "seen", "whitening", "lead_s")
 _WIDEST_SINE = 0.9  # Of a ball's half-angle: nearer ones are nowhere
 
 

@@ -120,8 +120,8 @@ def _mistaken(body: Body) -> Iterator[tuple[Word, str, Floats]]:
     for order in orders:
         if moved := [name for k, name in enumerate(body.names) if order[k] != k]:
             centers = body.centers[list(order)]
-            yield Word.EXCHANGED_BALLS, ", ".join(moved), _laid_onto(body.centers, centers)
-    yield Word.MIRRORED, "body", _laid_onto(body.centers, body.centers * [-1.0, 1.0, 1.0])
+            yield Word.EXCHANGED_BALLS, ", ".join(moved), laid_onto(body.centers, centers)
+    yield Word.MIRRORED, "body", laid_onto(body.centers, body.centers * [-1.0, 1.0, 1.0])
 
 
 def _exchanges(count: int) -> Iterator[tuple[int, ...]]:
@@ -129,7 +129,7 @@ def _exchanges(count: int) -> Iterator[tuple[int, ...]]:
         yield tuple({a: b, b: a}.get(k, k) for k in range(count))
 
 
-def _laid_onto(file: Floats, centers: Floats) -> Floats:
+def laid_onto(file: Floats, centers: Floats) -> Floats:
     """Centres (n, 3) moved rigidly as near as they come to the file's; those if nothing tells."""
     try:
         return align_points(file, centers).apply(centers)

@@ -8,6 +8,8 @@ import numpy as np
 
 from measure import api
 from measure.api.check import SessionCheck
+from measure.checking import Level
+from measure.checking.causes import MEND
 from measure.checking.clocks import CameraClock
 from measure.cli import console
 from measure.cli.console import JsonFlag
@@ -65,6 +67,8 @@ def _print(found: SessionCheck) -> None:
         console.print_table(("level", "topic", "what"), rows)
     else:
         console.print_text("nothing wrong, nothing weak")
+    if any(cause.mendable and cause.level is Level.WRONG for cause in found.causes):
+        console.print_text(f"{MEND} writes a copy in which that is put right, if the motion tells")
     lengths = [
         (" - ".join(c.what), c.measured_mm, c.sd_mm, c.file_mm, c.frames)
         for c in (*found.body.distances, *found.body.radii)

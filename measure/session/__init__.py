@@ -5,6 +5,7 @@ from measure.session.body_file import read_bodies, read_body, write_bodies, writ
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
 from measure.session.consistency import check_bodies, check_unit
+from measure.session.copying import CameraSource, SessionParts
 from measure.session.damage import damaged_frames, holds_jpeg
 from measure.session.files import (
     Length,
@@ -44,9 +45,11 @@ from measure.session.trajectory import Trajectory, read_trajectory
 from measure.session.video_file import open_video_stream
 
 __all__ = [
-    "MM_PER", "ArrayStream", "Calibration", "FileModel", "Format", "Length", "Name", "Orientation",
+    "MM_PER", "ArrayStream", "Calibration", "CameraSource", "FileModel", "Format",
+    "Length", "Name", "Orientation",
     "PictureTags",
-    "Position", "SafeName", "Session", "StatedCamera", "StatedRig", "StatedTransform", "Stream",
+    "Position", "SafeName", "Session", "SessionParts", "StatedCamera", "StatedRig",
+    "StatedTransform", "Stream",
     "TrackedBody", "Trajectory", "Unit", "able", "check_bodies", "check_name", "check_overlap",
     "check_unit", "clock_values", "damaged_frames", "decode_picture", "dump_toml", "format_for",
     "formats", "holds_jpeg", "is_complete_jpeg", "load_toml", "matching_files", "open_session",

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
+from measure.arrays import Bytes
 from measure.errors import CalibrationError, SessionError
 from measure.model import Body, Camera
 from measure.reading import FileModel, missing_message
@@ -22,9 +23,17 @@ from measure.session.consistency import check_bodies, check_unit
 from measure.session.files import Name, SafeName, load_toml
 from measure.session.session import Session
 from measure.session.stated_rig import Unit
-from measure.session.streams import Stream, open_image_stream
+from measure.session.streams import AlteredStream, Stream, open_image_stream
 from measure.session.timestamps import LATEST_S, check_time_units, read_stamps
 from measure.session.video_file import open_video_stream
+
+Mirrored = Literal["left to right", "top to bottom", "upside down"]
+"""How a camera's pictures are stored; they are turned back before they are measured."""
+_TURNED_BACK: dict[str, Callable[[Bytes], Bytes]] = {
+    "left to right": lambda pixels: pixels[:, ::-1],
+    "top to bottom": lambda pixels: pixels[::-1],
+    "upside down": lambda pixels: pixels[::-1, ::-1],
+}
 
 
 class SessionTable(FileModel):
@@ -50,6 +59,9 @@ class CameraTable(FileModel):
     time_column: Name | None = None
     time_offset_s: Annotated[FiniteFloat, Field(ge=-LATEST_S, le=LATEST_S)] = 0.0
     bit_depth: Annotated[int, Field(ge=8, le=16)] | None = None
+    frames: tuple[int, int] | None = None  # numbers of the first and the last that are used
+    mirrored: Mirrored | None = None
+    red_blue_exchanged: bool = False
     controls: dict[str, int | str] = Field(default_factory=dict)  # kept for people to read
 
     @model_validator(mode="after")
@@ -312,6 +324,27 @@ def _order_notes(calibration: Calibration, path: Path) -> list[str]:
 
 
 def _open_stream(table: CameraTable, folder: Path) -> Stream:
+    stream = _open_whole(table, folder)
+    altered = table.mirrored is not None or table.red_blue_exchanged
+    if not altered and table.frames is None:
+        return stream
+    first, last = table.frames or (stream.frames[0], stream.frames[-1])
+    chosen = np.flatnonzero((stream.frames >= first) & (stream.frames <= last))
+    if not len(chosen):
+        raise SessionError(
+            f"camera '{table.name}': frames = [{first}, {last}] leaves no picture: its frames are "
+            f"{stream.frames[0]} to {stream.frames[-1]}"
+        )
+
+    def put_right(pixels: Bytes) -> Bytes:
+        if table.mirrored is not None:
+            pixels = _TURNED_BACK[table.mirrored](pixels)
+        return pixels[:, :, ::-1] if table.red_blue_exchanged else pixels
+
+    return AlteredStream(stream, chosen, put_right if altered else None)
+
+
+def _open_whole(table: CameraTable, folder: Path) -> Stream:
     stamps_path = folder / table.timestamps if table.timestamps else None
     stamps = read_stamps(stamps_path, table.name, table.time_column) if stamps_path else None
     offset_s = table.time_offset_s

@@ -125,6 +125,49 @@ class ArrayStream(Stream):
         return self._image(index, lambda: pixels, None)
 
 
+class AlteredStream(Stream):
+    """Some of the pictures of a stream, or all of them put right: its files stay as they are.
+
+    Args:
+        whole: the stream.
+        positions: (n,) of the pictures that are used, increasing.
+        change: what is done to the pixels (h, w, 3) of each, if anything.
+    """
+
+    def __init__(
+        self, whole: Stream, positions: Ints, change: Callable[[Bytes], Bytes] | None = None
+    ) -> None:
+        self.whole = whole
+        self.positions = positions
+        self._change = change
+        one_a_picture = len(whole.files) == len(whole)
+        files = [whole.files[k] for k in positions] if one_a_picture else whole.files
+        frames, times_s = whole.frames[positions], whole.times_s[positions]
+        size_wh, notes = whole.size_wh, whole.notes
+        super().__init__(whole.name, whole.source, size_wh, frames, times_s, files, notes)
+        self.begins_s = whole.begins_s
+
+    def read(self, index: int) -> Image:
+        """The frame at position `index` of those that are used."""
+        self.check_index(index)
+        image, change = self.whole.read(int(self.positions[index])), self._change
+        if change is None:
+            return self._image(index, image.decode, image.encoded)
+        return self._image(index, lambda: np.ascontiguousarray(change(image.decode())), None)
+
+    def repeated(self) -> Ints | None:
+        """Positions of pictures equal to the one before, which is used as well."""
+        again = self.whole.repeated()
+        if again is None:
+            return None
+        follows = np.diff(self.positions, prepend=-2) == 1
+        return np.flatnonzero(np.isin(self.positions, again) & follows)
+
+    def close(self) -> None:
+        """Close the files of the whole stream."""
+        self.whole.close()
+
+
 def turned_notes(name: str, turned: bool) -> tuple[str, ...]:
     """What to say of a camera whose pictures bear a tag that asks to turn them, if they do."""
     text = (
@@ -221,7 +264,7 @@ def open_image_stream(
                 f"camera '{name}': images carry no time; give timestamps = \"....csv\", or name "
                 f"the pictures by their stamps, in ns, say ({files[0].name} holds none)"
             )
-    numbers = _numbers(files, stamps)
+    numbers = numbers_in(files, stamps.frames)
     if stamps.names:
         files, numbers = _named(name, source, files, stamps_path, stamps)
     if None in numbers or len(set(numbers)) != len(files):
@@ -269,13 +312,13 @@ def _find(name: str, folder: Path, pattern: str) -> list[Path]:
     )
 
 
-def _numbers(files: Sequence[Path], stamps: Stamps) -> list[int | None]:
-    """The frame number in each file's name; else its last number, if it has any."""
+def numbers_in(files: Sequence[Path], frames: Ints) -> list[int | None]:
+    """The frame number, of `frames`, in each file's name; else its last number, if it has any."""
     found = [[int(number) for number in re.findall(r"[0-9]+", file.stem)] for file in files]
     last = [numbers[-1] if numbers else None for numbers in found]
     if len(set(last)) == len(last) or len(set(map(len, found))) > 1:
         return last
-    known = set(stamps.frames.tolist())
+    known = set(frames.tolist())
     for numbers in reversed(list(zip(*found, strict=True))):
         if len(set(numbers)) == len(numbers) and known.issuperset(numbers):
             return list(numbers)

@@ -308,7 +308,8 @@ def test_a_cause_is_a_finding_with_code_subject_and_what_can_be_told_apart():
     finding = cause.finding
     told = (finding.code, finding.subject, finding.level, finding.estimate, finding.sd)
     assert told == ("zoom", "cam1", "weak", 2.0, 0.5)
-    assert (finding.unit, finding.since_s, finding.remedy) == ("%", 0.4, "calibrate it")
+    assert (finding.unit, finding.since_s) == ("%", 0.4)
+    assert finding.remedy == "calibrate it; or `measure mend SESSION -o MENDED`"
     assert finding.rivals == rivals
     assert "or cam2 was moved, or the scale of the calibration is off" in finding.text
     assert Finding(Level.NOTE, "frames", "none", camera="cam1").code == "frames"
