@@ -14,6 +14,7 @@ from measure.api.check import Look, Looking
 from measure.api.outputs import check_folder, new_folder
 from measure.api.profiles import load_profile
 from measure.checking.causes import ALL, Cause, Word, in_words
+from measure.checking.explaining import Explanation
 from measure.checking.finding import Finding, Level
 from measure.checking.hypotheses import Hypothesis
 from measure.checking.mending import LATER, MENDS, Estimate, kept_out_residual, mended, sharper
@@ -140,10 +141,16 @@ class _State:
     look: Look
     fitness: Fitness
 
-    @property
-    def left(self) -> float:
-        """The mean square of the residuals at instants kept out."""
-        return (self.fitness.residual_sd or 0.0) ** 2
+    def left(self, beside: Sequence[Hypothesis] = ()) -> float:
+        """The mean square of the residuals at instants kept out, all that is `beside` allowed for.
+
+        Where that is of other cameras than there are now, it is not.
+        """
+        evidence = self.look.evidence
+        if evidence is None:
+            return 0.0
+        some = [one for one in beside if len(one.basis) == evidence.size]
+        return kept_out_residual(evidence, some) ** 2
 
 
 @dataclass(eq=False)
@@ -177,17 +184,20 @@ class _Mending:
             cause = _likeliest(state.look)
             if cause is None:
                 break
-            if cause.cause not in MENDS or ("," in cause.of and cause.cause in _OF_A_CAMERA):
+            if not cause.mendable:
                 return state, changes, "" if changes else _by_hand(cause)
             tried = self._tried(state, cause)
             good = [(one, then) for one, then in tried if then.fitness.better_than(state.fitness)]
             if not good:
                 refused = _not_better(cause, tried, state) if cause.level is Level.WRONG else ""
                 return state, changes, "" if changes else refused
-            (cause, then), *others = sorted(good, key=lambda pair: pair[1].left)
-            as_good = [pair for pair in others if pair[1].left < _AS_GOOD * then.left]
-            for rival, other in as_good:
-                if not _alike(cause, rival, then, other):
+            beside = [one.hypothesis for one in _others(state.look, cause)]
+            left = {id(then): then.left(beside) for _, then in good}
+            (cause, then), *others = sorted(good, key=lambda pair: left[id(pair[1])])
+            for rival, other in others:
+                if left[id(other)] < _AS_GOOD * left[id(then)] and not _alike(
+                    cause, rival, then, other
+                ):
                     return state, changes, "" if changes else _either(cause, rival)
             changes.append(_change(cause, state, then))
             state = then
@@ -224,14 +234,15 @@ class _Mending:
             hypothesis = None if evidence is None else sharper(evidence, cause)
             if evidence is None or hypothesis is None or len(evidence.times_s) < _FEWEST:
                 break
-            found = Estimate.of(evidence, hypothesis)
+            beside = [one for one in hypotheses[:-1] if len(one.basis) == evidence.size]
+            found = Estimate.of(evidence, hypothesis, beside)
             if found.deviations < _SETTLED:
                 break
             finer = mended(then.parts, cause, found)
             if finer is None:
                 break
             again = self.looked_at(finer)
-            if again.left > then.left * _AS_GOOD:
+            if again.left() > _AS_GOOD * then.left():
                 break
             then = again
         return then
@@ -246,15 +257,13 @@ def _likeliest(look: Look) -> Cause | None:
 
 def _rivals(look: Look, cause: Cause) -> list[tuple[Cause, Sequence[Hypothesis]]]:
     """A cause and the few that explain as much; each with its hypothesis behind what is beside."""
-    every = look.diagnosis.found
-    word = Word.SCALE if cause.cause is Word.SQUARE else cause.cause
-    name = word, "" if cause.of == ALL else cause.of
-    found = next((x for x in every if (x.hypothesis.word, x.hypothesis.of) == name), None)
+    others = _others(look, cause)
+    found = next((one for one in look.diagnosis.found if one not in others), None)
     set_right = cause.cause is Word.CLOCK and cause.of in look.ahead_s
     if found is None or look.evidence is None or set_right:
         return [(cause, ())]
-    others = [one.hypothesis for one in every if one is not found]
-    out: list[tuple[Cause, Sequence[Hypothesis]]] = [(cause, (*others, found.hypothesis))]
+    beside = [one.hypothesis for one in others]
+    out: list[tuple[Cause, Sequence[Hypothesis]]] = [(cause, (*beside, found.hypothesis))]
     for fit in found.rivals:
         last = fit.hypotheses[-1]
         since_s = None if last.since is None else float(look.evidence.times_s[last.since])
@@ -264,6 +273,14 @@ def _rivals(look: Look, cause: Cause) -> list[tuple[Cause, Sequence[Hypothesis]]
         )  # fmt: skip
         out.append((rival, fit.hypotheses))
     return [one for one in out if one[0].cause in MENDS][: 1 + _MOST_RIVALS]
+
+
+def _others(look: Look, cause: Cause) -> list[Explanation]:
+    """What explains the recording beside a cause."""
+    word = Word.SCALE if cause.cause is Word.SQUARE else cause.cause
+    name = word, "" if cause.of == ALL else cause.of
+    every = look.diagnosis.found
+    return [one for one in every if (one.hypothesis.word, one.hypothesis.of) != name]
 
 
 def _alike(cause: Cause, rival: Cause, one: _State, other: _State) -> bool:

@@ -44,7 +44,7 @@ _JOINT = "joint_covariance"
 def kept_out(instants: int) -> Bools:
     """Which of so many instants (k,), in order of time, take no part in an estimate."""
     block = max(1, round(instants / _BLOCKS))
-    return np.arange(instants) // block % 3 == 2
+    return np.asarray(np.arange(instants) // block % 3 == 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Estimate:
     ) -> Estimate:
         """Fit a hypothesis together with others."""
         kept = ~kept_out(len(evidence.times_s))
-        each = [_from_part(one, kept) for one in (*beside, hypothesis)]
+        each = [_of_part(one, kept) for one in (*beside, hypothesis)]
         values, covariance = fitted(evidence.part(kept), each).last()
         return cls(hypothesis, values, covariance, evidence)
 
@@ -91,14 +91,19 @@ class Estimate:
         return float(self.rig[self.evidence.shared(what)])
 
 
-def _from_part(one: Hypothesis, kept: Bools) -> Hypothesis:
+def _of_part(one: Hypothesis, kept: Bools) -> Hypothesis:
     """The same of the instants kept alone."""
     return one if one.since is None else one._replace(since=int(kept[: one.since].sum()))
 
 
-def kept_out_residual(evidence: Evidence) -> float:
-    """RMS of residuals, in their standard deviations, at the instants that are kept out."""
-    return float(np.sqrt(fitted(evidence.part(kept_out(len(evidence.times_s))), ()).left))
+def kept_out_residual(evidence: Evidence, beside: Sequence[Hypothesis] = ()) -> float:
+    """RMS of residuals, in their standard deviations, at the instants that are kept out.
+
+    Args:
+        beside: what else is off, and is allowed for.
+    """
+    out = kept_out(len(evidence.times_s))
+    return float(np.sqrt(fitted(evidence.part(out), [_of_part(h, out) for h in beside]).left))
 
 
 def sharper(evidence: Evidence, cause: Cause) -> Hypothesis | None:
@@ -239,8 +244,8 @@ def _scale(parts: SessionParts, known: Known) -> SessionParts | None:
         for camera in parts.cameras
     )
     body = parts.bodies[0]
-    known = body.distance_sd_mm / float(np.mean(np.linalg.norm(body.centers - body.middle, axis=1)))
-    scale_sd = float(np.hypot(np.sqrt(found.covariance[0, 0]), known))
+    arm_mm = float(np.mean(np.linalg.norm(body.centers - body.middle, axis=1)))
+    scale_sd = float(np.hypot(np.sqrt(found.covariance[0, 0]), body.distance_sd_mm / arm_mm))
     return replace(parts, cameras=cameras, scale_sd=scale_sd)
 
 
@@ -282,7 +287,7 @@ def _exchanged_balls(parts: SessionParts, known: Known) -> SessionParts | None:
         wanted = body.centers + moved.reshape(-1, 3)
         laid = {o: laid_onto(body.centers, body.centers[[*o]]) for o in orders}
         off = {o: float(np.abs(centers - wanted).max()) for o, centers in laid.items()}
-        order = [*min(off, key=lambda one: off[one])]
+        order = [*min(off, key=off.__getitem__)]
     elif cause.instead:
         order = [body.index(cause.instead.get(name, name)) for name in body.names]
     else:

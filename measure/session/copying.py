@@ -104,8 +104,8 @@ class SessionParts:
     def write(self, folder: Path) -> None:
         """Write `session.toml`, calibration, bodies and stamps into a folder that is there."""
         files = ["body.toml", *(f"body-{k}.toml" for k in range(2, len(self.bodies) + 1))]
-        for file, body in zip(files, self.bodies, strict=True):
-            write_body(folder / file, body)
+        for name, body in zip(files, self.bodies, strict=True):
+            write_body(folder / name, body)
         calibration = Calibration(self.cameras, self.provenance, self.scale_sd)
         write_calibration(folder / "calibration.toml", calibration)
         tables = []

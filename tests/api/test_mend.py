@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from measure.api.check import Look, Looking
-from measure.checking import SearchSample, search_sample, with_velocities
+from measure.checking import Level, SearchSample, search_sample, with_velocities
 from measure.checking.arrangement import arrangement_causes
 from measure.checking.body import BodyCheck
 from measure.checking.causes import Cause, Word
@@ -334,7 +334,9 @@ def test_rivals_that_need_different_mends_are_refused(recorded, tmp_path, capsys
 
 
 def test_what_only_a_person_can_mend_is_refused(recorded, tmp_path, capsys, monkeypatch) -> None:
-    cause = Cause(Word.INTERLACED, "cam1", "pictures are woven", "switch to progressive", "wrong")
+    cause = Cause(
+        Word.INTERLACED, "cam1", "pictures are woven", "switch to progressive", Level.WRONG
+    )
     right = Looking.with_clocks_set
     monkeypatch.setattr(
         Looking, "with_clocks_set", lambda looking: replace(right(looking), causes=(cause,))
@@ -344,7 +346,7 @@ def test_what_only_a_person_can_mend_is_refused(recorded, tmp_path, capsys, monk
 
 
 def test_a_mend_that_helps_nothing_is_refused(recorded, tmp_path, capsys, monkeypatch) -> None:
-    cause = Cause(Word.CLOCK, "cam1", "cam1 is late", "add it", "wrong", 30.0, 1.0, "ms")
+    cause = Cause(Word.CLOCK, "cam1", "cam1 is late", "add it", Level.WRONG, 30.0, 1.0, "ms")
     right = Looking.with_clocks_set
     monkeypatch.setattr(
         Looking, "with_clocks_set", lambda looking: replace(right(looking), causes=(cause,))
