@@ -18,13 +18,13 @@ from measure.checking.explaining import Explanation
 from measure.checking.finding import Finding, Level
 from measure.checking.hypotheses import Hypothesis
 from measure.checking.mending import LATER, MENDS, Estimate, kept_out_residual, mended, sharper
-from measure.errors import MeasureError
+from measure.errors import ConfigError, MeasureError
 from measure.geometry import squared_mahalanobis
 from measure.host import Registry
 from measure.measuring import Profile
 from measure.model import Camera
 from measure.processes import Progress, quiet
-from measure.session import CameraSource, SessionParts, open_session, session_file
+from measure.session import CameraSource, Session, SessionParts, open_session, session_file
 
 _MOST_MENDS, _MOST_RIVALS, _SHARPENED = 5, 2, 2
 _FEWEST = 9  # Instants, of which a third is kept out
@@ -95,6 +95,7 @@ def mend(
     profile: Profile | None = None,
     samples: int = 24,
     clock_samples: int = 300,
+    overwrite: bool = False,
     progress: Progress = quiet,
 ) -> Mended:
     """Take out of a recording what is off with its cameras, its body or its stamps.
@@ -112,10 +113,11 @@ def mend(
     Raises:
         MeasureError: the recording cannot be read, or `out` cannot be written.
     """
-    check_folder(out, False, "session.toml")
+    check_folder(out, overwrite, _MARK)
     with TemporaryDirectory() as scratch:
         with open_session(session_path, clocks_apart=True) as session:
             parts, name = SessionParts.of(session), session.name
+            _refuse_pictures_in(out, session)
         mending = _Mending(
             registry, profile or load_profile(), samples, clock_samples, progress, Path(scratch)
         )
@@ -127,10 +129,21 @@ def mend(
             origin = {"mended_from": str(session_file(session_path).absolute())}
             told = {"mended": [text for change in changes for text in change.changed]}
             provenance = {**last.parts.provenance, **origin, **(told if changes else {})}
-            with new_folder(out, False, "session.toml"):
+            with new_folder(out, overwrite, _MARK):
                 out.mkdir(parents=True, exist_ok=True)
                 replace(last.parts, provenance=provenance).write(out)
         return found
+
+
+_MARK = "session.toml"
+
+
+def _refuse_pictures_in(out: Path, session: Session) -> None:
+    """Refuse to replace a folder that the recording itself is in."""
+    inside = out.resolve()
+    files = [session.path, *(file for stream in session.streams.values() for file in stream.files)]
+    if any(inside in file.resolve().parents for file in files):
+        raise ConfigError(f"{out}: the recording to be read is in it: give another folder")
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from pathlib import Path
 from measure import api
 from measure.api.mend import Fitness, Mended
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile
+from measure.cli.console import JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
 
 
@@ -17,6 +17,7 @@ def mend(
     *,
     out: OutFile,
     profile: str = "precise",
+    overwrite: Overwrite = False,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> int:
@@ -36,7 +37,7 @@ def mend(
     """
     how = api.load_profile(profile)
     with console.progress("looking") as report:
-        found = api.mend(session, out, registry, how, progress=report)
+        found = api.mend(session, out, registry, how, overwrite=overwrite, progress=report)
     if json:
         console.print_json({"output": None if found.refused else out, **vars(found)})
     elif found.refused:

@@ -198,7 +198,7 @@ def _sampled(place: Place) -> None:
 
 
 def _profiled(call: Callable[..., Any], *given: Any) -> Any:
-    return call(*given, api.load_profile("paper"), Registry.discover())
+    return call(*given, profile=api.load_profile("paper"), registry=Registry.discover())
 
 
 WRITES: dict[str, Callable[[Place], Any]] = {
@@ -219,6 +219,7 @@ WRITES: dict[str, Callable[[Place], Any]] = {
         [p.run], [p.session / "cam1.csv"], "raven2", p.out / "d.parquet", AssemblySettings()
     ),
     "mark_event": lambda p: api.mark_event(p.run, p.name),
+    "mend": lambda p: _profiled(api.mend, p.session, p.out / "mended"),
     "pivot": lambda p: lab.pivot(p.run),
     "record": _record,
     "refine": lambda p: api.refine(p.session, Registry.discover()),

@@ -367,6 +367,7 @@ def test_bad_input_is_refused_in_a_line(recorded, tmp_path, capsys) -> None:
     there = tmp_path / "there"
     there.mkdir()
     (there / "file").touch()
-    for words in ([str(tmp_path / "none"), "-o", "x"], [str(recorded.folder), "-o", str(there)]):
+    own, out = str(recorded.folder), str(tmp_path / "out")
+    for words in ([out, "-o", "x"], [own, "-o", str(there)], [own, "-o", own, "--overwrite"]):
         assert main(["mend", *words]) == 2
         assert capsys.readouterr().err.count("\n") == 1

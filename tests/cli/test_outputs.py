@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "estimate": ("", "none", "--input", "none"),
     "export": ("", "none", "--format", "csv"),
     "live": (RUN, "none0", "none1", "--calibration", "rig.toml", "--body", "none"),
+    "mend": (RECORDING, "none"),
     "pivot": ("", "none"),
     "record": (RECORDING, "cam0=none"),
     "refine": ("", "none"),
