@@ -9,6 +9,7 @@ from measure.api.calibrating import (
     shipped_targets,
     write_measured_board,
 )
+from measure.api.calibrating_by_body import calibrate_by_body, calibrate_by_body_to
 from measure.api.check import SessionCheck, check
 from measure.api.demo import Addition, Demo, demo, render_demo
 from measure.api.detecting import (
@@ -55,6 +56,7 @@ from measure.processes import ProgressClock
 from measure.results.evaluation import evaluation_tables
 from measure.session import (
     Calibration,
+    is_session,
     read_body,
     read_calibration,
     read_trajectory,
@@ -70,9 +72,11 @@ __all__ = [
     "Pipeline", "Profile", "ProgressClock", "RefineResult", "Registry", "RigWatch",
     "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet",
     "SyncedClock", "Verdict", "WaveState", "Workers", "begin_marks", "board_frame", "board_length",
-    "body_names", "build_pipeline", "calibrate", "calibrate_to", "check", "choose", "clicked_color",
+    "body_names", "build_pipeline", "calibrate", "calibrate_by_body",
+    "calibrate_by_body_to", "calibrate_to", "check", "choose", "clicked_color",
     "demo", "detect", "draw", "draw_target", "drawings", "evaluate", "evaluation_tables", "events",
-    "export", "find_body", "find_target", "inside", "learnt_colors", "load_profile", "mark_event",
+    "export", "find_body", "find_target", "inside", "is_session", "learnt_colors",
+    "load_profile", "mark_event",
     "measure_bodies", "measure_session", "mend", "new_folder", "other_board", "output",
     "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board", "read_body",
     "read_calibration", "read_trajectory", "refine", "relative_measurements", "render_demo", "run",

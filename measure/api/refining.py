@@ -21,6 +21,7 @@ from measure.calibration import (
     rough_cameras,
 )
 from measure.calibration.refining.freeing import FreedRig, contradicted, freed
+from measure.calibration.refining.procedure import AdjustedRig
 from measure.calibration.refining.recording import recording_of
 from measure.checking.unknown_body import (
     SeenBall,
@@ -126,7 +127,7 @@ def refine(
             rig = refine_measured(first, body, measured, settings, joint)
             notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
             joint = rig.refinement.covariance
-        clocks = clock_values(opened.clock_digest, _shifts(rig, opened.clock_shifts_s))
+        clocks = clock_values(opened.clock_digest, clock_shifts(rig, opened.clock_shifts_s))
     values = _provenance(str(session), rig) | clocks | {"notes": list(notes)}
     if names:
         values["freed"] = list(names)
@@ -192,7 +193,7 @@ def measure_all(
     return measured, pipeline.body
 
 
-def _shifts(rig: RefinedRig, before: Mapping[str, float]) -> dict[str, float]:
+def clock_shifts(rig: AdjustedRig, before: Mapping[str, float]) -> dict[str, float]:
     """What to add to the stamps as recorded, by camera."""
     shifts = dict(before)
     if rig.clocks_applied:

@@ -242,7 +242,7 @@ def _answer(
     covariance = np.zeros((size, size))
     factor = max(solution.variance_factor, solution.clustered_factor, 1.0)
     covariance[6:, 6:] = factor * solution.covariance
-    shape = _s_transformation(cameras, free, columns, points)
+    shape, _, _ = shape_errors(cameras, free, columns, points)
     covariance = shape @ covariance @ shape.T
     rows = zip(cameras, columns, problem.views, solution.linearised.groups, strict=True)
     out = tuple(
@@ -254,14 +254,23 @@ def _answer(
     return out, covariance
 
 
-def _s_transformation(
-    cameras: Sequence[Camera], free: Sequence[Ints], columns: Sequence[Ints], points: Floats
-) -> Floats:
-    """What takes errors of cameras and free lens parameters (p,) to those of the rig's shape (p,).
+def shape_errors(
+    cameras: Sequence[Camera],
+    free: Sequence[Ints],
+    columns: Sequence[Ints],
+    points: Floats,
+    with_scale: bool = False,
+) -> tuple[Floats, Floats, Floats]:
+    """What errors of cameras and free lens parameters (p,) do to the rig's shape, and to the world.
 
     With the first camera as the world, its errors move all positions alike, which covariances of
     single cameras cannot express. Here the world moves with the positions (n, 3) that two cameras
-    see, by the rigid motion that fits them best (Baarda 1973, Publications on Geodesy 5.1).
+    see, by the rigid motion that fits them best (Baarda 1973, Publications on Geodesy 5.1);
+    `with_scale` by the similarity, whose scale is about the world's origin.
+
+    Returns:
+        (p, p) that takes errors to those of the shape alone; (6, p) or (7, p) to the world's
+        motion; and (p, 6) or (p, 7), what such a motion does to the cameras.
     """
     size = sum(map(len, columns))
     normal, moved = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3, size))
@@ -277,12 +286,19 @@ def _s_transformation(
     both = seen_by > 1
     # A camera that moves one way sees all positions move the other way.
     placed = -np.linalg.solve(normal[both], moved[both]).reshape(-1, size)
-    whole = np.linalg.pinv(chart_jacobian(points[both]).reshape(-1, 6)) @ placed
-    out = np.eye(size)
+    motions = _motions(points[both], with_scale)
+    world = np.linalg.pinv(motions.reshape(len(placed), -1)) @ placed
+    moves = np.zeros((size, len(world)))
     for camera, rows in zip(cameras, columns, strict=True):
-        out[rows[:3]] -= chart_jacobian(camera.center) @ whole
-        out[rows[3:6]] -= whole[3:]
-    return out
+        moves[rows[:3]] = _motions(camera.center, with_scale)
+        moves[rows[3:6], 3:6] = np.eye(3)
+    return np.eye(size) - moves @ world, world, moves
+
+
+def _motions(points: Floats, with_scale: bool) -> Floats:
+    """How points (..., 3) follow the world's motion (..., 3, 6), or its scale too (..., 3, 7)."""
+    rigid = chart_jacobian(points)
+    return np.concatenate([rigid, points[..., None]], axis=-1) if with_scale else rigid
 
 
 _View = tuple[Camera, Corners]

@@ -21,6 +21,7 @@ from measure.session.formats import Format, able, format_for, formats
 from measure.session.opening import (
     check_overlap,
     clock_values,
+    is_session,
     open_session,
     open_streams,
     session_file,
@@ -52,7 +53,8 @@ __all__ = [
     "StatedTransform", "Stream",
     "TrackedBody", "Trajectory", "Unit", "able", "check_bodies", "check_name", "check_overlap",
     "check_unit", "clock_values", "damaged_frames", "decode_picture", "dump_toml", "format_for",
-    "formats", "holds_jpeg", "is_complete_jpeg", "load_toml", "matching_files", "open_session",
+    "formats", "holds_jpeg", "is_complete_jpeg", "is_session", "load_toml", "matching_files",
+    "open_session",
     "open_streams", "open_video_stream", "pair_nearest", "picture_bytes", "picture_tags",
     "read_bodies", "read_body", "read_calibration", "read_intrinsics", "read_picture",
     "read_robot_base", "read_trajectory", "seldom_paired", "session_file", "session_lacks",

@@ -151,6 +151,27 @@ class CalibrationModel(FileModel):
     provenance: Annotated[dict[str, Any], Field(default_factory=dict)]
 
 
+class LensModel(CameraModel):
+    """One `[[cameras]]` table of which only the lens is used: the pose may be absent."""
+
+    quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] = (1.0, 0.0, 0.0, 0.0)
+    translation_mm: Triple = (0.0, 0.0, 0.0)
+
+
+class LensesModel(FileModel):
+    """A whole `calibration.toml` of which only the lenses are used."""
+
+    cameras: Annotated[list[LensModel], Field(min_length=1)]
+    scale_sd: Annotated[FiniteFloat, Field(ge=0, lt=1)] = UNSTATED_SCALE_SD
+    provenance: Annotated[dict[str, Any], Field(default_factory=dict)]
+
+
+def read_own_lenses(path: Path) -> Calibration:
+    """As `read_own_calibration`, but cameras without a pose stand in the world's origin."""
+    given = load_toml(path, LensesModel, CalibrationError)
+    return Calibration(tuple(camera.camera() for camera in given.cameras))
+
+
 def read_own_calibration(path: Path) -> Calibration:
     """Read our own format; CalibrationError with file, line and key where it cannot be used."""
     given = load_toml(path, CalibrationModel, CalibrationError)

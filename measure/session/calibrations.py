@@ -62,7 +62,9 @@ def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
     stated = _foreign(path)
     if stated is not None:
         return stated.lenses(path)
-    return {camera.name: camera.intrinsics for camera in read_calibration(path).cameras}
+    stated_here = calibration_file.read_own_lenses(path)
+    _check_lenses(stated_here, str(path))
+    return {camera.name: camera.intrinsics for camera in stated_here.cameras}
 
 
 def _foreign(path: Path) -> StatedRig | None:
@@ -128,6 +130,26 @@ def check_calibration(calibration: calibration_file.Calibration, source: str) ->
     No camera, two of one name, a lens that there cannot be, or all so close together that their
     translations must be metres, or so far apart that they cannot be mm.
     """
+    _check_lenses(calibration, source)
+    if len(calibration.cameras) < 2:
+        return
+    centers = np.stack([camera.center for camera in calibration.cameras])
+    with np.errstate(over="ignore"):
+        spread = float(np.linalg.norm(centers - centers[0], axis=1).max())
+    if spread < METRES_SPREAD_MM:
+        raise CalibrationError(
+            f"{source}: the cameras stand within {spread:.3g} mm of each other: the translations "
+            "look like metres; write mm, or for another program's file say calibration_unit = "
+            '"m" in [session]'
+        )
+    if spread > FARTHEST_MM:
+        raise CalibrationError(
+            f"{source}: the cameras stand up to {spread:.3g} mm apart: are the translations in mm?"
+        )
+
+
+def _check_lenses(calibration: calibration_file.Calibration, source: str) -> None:
+    """Refuse names that are none or occur twice, and lenses that there cannot be."""
     names = calibration.names
     if not names:
         raise CalibrationError(f"{source}: holds no calibrated camera")
@@ -145,21 +167,6 @@ def check_calibration(calibration: calibration_file.Calibration, source: str) ->
                 f"{camera.intrinsics.size_wh[0]}x{camera.intrinsics.size_wh[1]} px with this "
                 "matrix and distortion: are they in px, and of this camera?"
             )
-    if len(names) < 2:
-        return
-    centers = np.stack([camera.center for camera in calibration.cameras])
-    with np.errstate(over="ignore"):
-        spread = float(np.linalg.norm(centers - centers[0], axis=1).max())
-    if spread < METRES_SPREAD_MM:
-        raise CalibrationError(
-            f"{source}: the cameras stand within {spread:.3g} mm of each other: the translations "
-            "look like metres; write mm, or for another program's file say calibration_unit = "
-            '"m" in [session]'
-        )
-    if spread > FARTHEST_MM:
-        raise CalibrationError(
-            f"{source}: the cameras stand up to {spread:.3g} mm apart: are the translations in mm?"
-        )
 
 
 def _is_a_lens(lens: Intrinsics) -> bool:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -150,9 +151,13 @@ def shift_notes(shifts_s: Mapping[str, float]) -> tuple[str, ...]:
 _FILE = "session.toml, the file that names each camera's video or folder of pictures"
 
 
+CalibrationOf = Callable[[Mapping[str, Stream]], Calibration]
+"""Gives the cameras of streams of pictures by name, in their order."""
+
+
 def open_session(
     path: Path | str,
-    calibration: Path | str | None = None,
+    calibration: Path | str | CalibrationOf | None = None,
     body: Path | str | Body | Sequence[Path] | None = None,
     *,
     reference: str | None = None,
@@ -162,7 +167,8 @@ def open_session(
 
     Args:
         path: the session's folder, or its `session.toml`.
-        calibration: a calibration file to use instead of the session's own.
+        calibration: a calibration file to use instead of the session's own, or what gives the
+            cameras where none is calibrated yet.
         body: a body, its file, or several files, to use instead of the session's own.
         reference: name of the body to measure the others relative to, instead of the session's.
         clocks_apart: open cameras without a time in common as well, to find their clocks.
@@ -176,11 +182,16 @@ def open_session(
     given = load_toml(file, SessionModel)
     folder = file.parent
     bodies, relative_to = _bodies_and_reference(given, file, body, reference)
-    calibration_path = _calibration_path(given, file, calibration)
+    calibration_path = file
+    if not callable(calibration):
+        calibration_path = _calibration_path(given, file, calibration)
     with ExitStack() as opened:
         streams = _open_all(given.cameras, folder, opened)
-        calibration_read = _calibration(given, streams, calibration_path, file)
-        check_unit(calibration_read, bodies[0], str(calibration_path))
+        if callable(calibration):
+            calibration_read = calibration(streams)
+        else:
+            calibration_read = _calibration(given, streams, calibration_path, file)
+            check_unit(calibration_read, bodies[0], str(calibration_path))
         check_time_units({name: stream.period_s for name, stream in streams.items()})
         digest = clock_digest(streams.values())
         shifts = shift_clocks(streams, digest, calibration_read.provenance, calibration_path)
@@ -253,6 +264,16 @@ def session_file(path: Path) -> Path:
     if not file.exists():
         raise SessionError(f"{path} is not a session: it has no {_FILE}")
     return file
+
+
+def is_session(path: Path | str) -> bool:
+    """Whether a folder, or a file, is a session; a folder that is a capture as well is none."""
+    path = Path(path)
+    if path.is_dir():
+        return (path / "session.toml").exists() and not (path / "capture.toml").exists()
+    with suppress(OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return path.suffix == ".toml" and "session" in tomllib.loads(path.read_text("utf-8"))
+    return False
 
 
 def _bodies_and_reference(

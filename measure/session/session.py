@@ -6,7 +6,7 @@ import hashlib
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Self
@@ -143,6 +143,7 @@ class Session:
     other_bodies: tuple[Body, ...] = ()  # what else is measured
     reference: str = ""  # the body that others are measured relative to
     scale_sd: float = UNSTATED_SCALE_SD  # of the world: see `Calibration`
+    step: int = 1  # of so many frame sets one is used
 
     def __enter__(self) -> Self:
         return self
@@ -180,7 +181,9 @@ class Session:
 
     def pair(self) -> Pairing:
         """Frames that form sets (see `pair_nearest`)."""
-        return pair_nearest([stream.times_s for stream in self.streams.values()])
+        whole = pair_nearest([stream.times_s for stream in self.streams.values()])
+        positions, times_s = whole.positions[:: self.step], whole.times_s[:: self.step]
+        return replace(whole, positions=positions, times_s=times_s)
 
     def clock_notes(self, known: Collection[str]) -> tuple[str, ...]:
         """Stamps with errors of their own, or that the pairing contradicts; a line each.

@@ -31,7 +31,7 @@ _MISFIT, _LEFT, _LEFT_SHARE = 1.0, 2.0, 0.2
 left of it, and as a share, once the cameras named are turned: where they stand is not asked yet."""
 _AS_GOOD = 1.1  # Times what is left otherwise, that a rival may leave to be thought of
 _MOST, _HELD = 0.5, 2  # Share that a cause explains; least number of cameras that are held
-_FREE_SD, _HELD_SD = np.repeat([[100.0, 0.3], [1e-3, 1e-6]], 3, axis=1)
+FREE_SD, HELD_SD = np.repeat([[100.0, 0.3], [1e-3, 1e-6]], 3, axis=1)
 """Of a pose that is as good as unknown, and of one far better known than what is measured."""
 _ZOOM_SD, _ASPECT_SD, _POINT_SD_PX = 0.2, 2e-4, 100.0
 _LENS = (0, 1, 2, 3)  # The parameters that a zoom or a crop changes
@@ -153,7 +153,7 @@ def loosened(
     out, blocks = [], []
     for camera in cameras:
         free, lens = camera.name in names, None
-        blocks.append(np.diag((_FREE_SD if free and moved else _HELD_SD) ** 2))
+        blocks.append(np.diag((FREE_SD if free and moved else HELD_SD) ** 2))
         if free and not moved:
             focal, lens = np.diag(camera.intrinsics.matrix)[:2], np.zeros((12, 12))
             lens[:2, :2] = _ZOOM_SD**2 * np.outer(focal, focal) + np.diag(_ASPECT_SD * focal) ** 2

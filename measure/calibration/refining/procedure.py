@@ -26,7 +26,7 @@ from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import chi_square_quantile
-from measure.limits import CLEAR_RATIO, FEWEST, SPREAD_OVER
+from measure.limits import CLEAR_RATIO, FEWEST, SINGULAR, SPREAD_OVER
 from measure.measuring import Measurement
 from measure.model import Body, Camera, Detection
 
@@ -79,9 +79,11 @@ def _disagreement(both: tuple[Refinement, Refinement]) -> float:
     """
     owned = [r.covariance - r.covariance @ np.linalg.solve(r.prior, r.covariance) for r in both]
     spread: Floats = owned[0] + owned[1]
+    told = np.diag(spread) > SINGULAR * np.diag(both[0].prior)  # of a camera held nothing is
+    spread, apart = spread[np.ix_(told, told)], (both[0].change - both[1].change)[told]
     scale = 1 / np.sqrt(np.diag(spread))
     shares, axes = np.linalg.eigh((spread + spread.T) / 2 * scale[:, None] * scale)
-    apart = axes.T @ ((both[0].change - both[1].change) * scale)
+    apart = axes.T @ (apart * scale)
     determined = shares > _MIN_EIGENVALUE_RATIO * shares[-1]
     return float(np.mean(apart[determined] ** 2 / shares[determined]))
 
@@ -238,8 +240,8 @@ def refuse_misfit(refinement: Refinement, body: Body) -> None:
     what, far = worst_misfit(refinement, body)
     if far > _MAX_MISFIT_PX:
         raise CalibrationError(
-            f"the first calibration does not fit the recording: {what}; if a camera was moved "
-            "since, calibrate again; else check the body file"
+            f"the calibration does not fit the recording: {what}; if a camera was moved since, "
+            "calibrate again; else check the body file"
         )
 
 
@@ -248,14 +250,21 @@ _CLOCK_FRAME_SETS = 400
 
 
 @dataclass(frozen=True, eq=False)
-class RefinedRig:
-    """A refined rig and the verdict on it."""
+class AdjustedRig:
+    """A rig adjusted to a recording."""
 
     recording: Recording
     refinement: Refinement
     # one a camera, in order; empty if the frame sets are too far apart.
     clocks: tuple[CameraClock, ...]
     clocks_applied: bool  # whether their offsets were beyond doubt, and were used
+    halves: Halves
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedRig(AdjustedRig):
+    """A refined rig and the verdict on it."""
+
     verdict: RefineVerdict
 
 
@@ -267,6 +276,19 @@ def refine_measured(
     joint_covariance: Floats | None = None,
 ) -> RefinedRig:
     """Refine cameras over a measured session; CalibrationError: too little seen, or implausible."""
+    rig = adjust_measured(cameras, body, measurements, settings, joint_covariance)
+    verdict = judge_refinement(cameras, body, rig.recording, rig.refinement, rig.halves)
+    return RefinedRig(**vars(rig), verdict=verdict)
+
+
+def adjust_measured(
+    cameras: tuple[Camera, ...],
+    body: Body,
+    measurements: Sequence[Measurement],
+    settings: RefineSettings | None = None,
+    joint_covariance: Floats | None = None,
+) -> AdjustedRig:
+    """Adjust cameras and clocks to a measured session, whatever the first cameras are worth."""
     recording = recording_of(measurements, body)
     clocks, trusted = _clocks(cameras, body, measurements, recording, settings, joint_covariance)
     applied = trusted and any(clock.offset_visible or clock.rolling for clock in clocks)
@@ -277,14 +299,13 @@ def refine_measured(
         cameras, body, recording, settings, joint_covariance, halves.variance_factor
     )
     refuse_misfit(refinement, body)
-    verdict = judge_refinement(cameras, body, recording, refinement, halves)
     if applied:
         refined = tuple(
             replace(c, readout_s=c.readout_s + clock.readout_s) if clock.rolling else c
             for c, clock in zip(refinement.cameras, clocks, strict=True)
         )
         refinement = replace(refinement, cameras=refined)
-    return RefinedRig(recording, refinement, clocks, applied, verdict)
+    return AdjustedRig(recording, refinement, clocks, applied, halves)
 
 
 def rough_cameras(

@@ -21,7 +21,7 @@ _MIN_AGREEING_SHARE = 0.2
 """A camera that agrees in a smaller share of the frame sets is not refined but refused."""
 _WINDOW_FRAMES = 9
 _POLYNOMIAL_DEGREE = 4
-_MIN_MOTION_MM = 20.0
+MIN_MOTION_MM = 20.0
 _DOUBTFUL_SHARE = 0.2
 _DISAGREEING = (Reason.INCONSISTENT, Reason.JUMPED, Reason.RECOVERING)
 _CALIBRATION_MAY_CAUSE = (Reason.INCONSISTENT, Reason.JUMPED)
@@ -75,7 +75,7 @@ def recording_of(
     body: Body,
     lead_s: Callable[[Detection], float] | None = None,
     doubtful_too: bool = False,
-    least_motion_mm: float = _MIN_MOTION_MM,
+    least_motion_mm: float = MIN_MOTION_MM,
 ) -> Recording:
     """Collect the poses and effective detections of measured frame sets.
 
@@ -94,14 +94,19 @@ def recording_of(
     _refuse_disagreeing(kept, doubtful_too)
     kept = kept[:_MOST_FRAMES]
     poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
-    spread = float(np.linalg.norm(np.ptp(poses.translation, axis=0)))
+    refuse_rest(poses, least_motion_mm)
+    return Recording(
+        np.array([m.time_s for m in kept]), poses, _tracks(kept, body, lead_s, doubtful_too)
+    )
+
+
+def refuse_rest(world_from_body: RigidTransform, least_motion_mm: float) -> None:
+    """Refuse (CalibrationError) a body that hardly moved."""
+    spread = float(np.linalg.norm(np.ptp(world_from_body.translation, axis=0)))
     if spread < least_motion_mm:
         raise CalibrationError(
             f"the body moved {spread:.1f} mm only: carry it through the whole workspace"
         )
-    return Recording(
-        np.array([m.time_s for m in kept]), poses, _tracks(kept, body, lead_s, doubtful_too)
-    )
 
 
 def _refuse_disagreeing(kept: Sequence[Measurement], doubtful_too: bool) -> None:

@@ -1,0 +1,256 @@
+"""Calibrating the cameras of a session by the waved body itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from measure.api.calibrating import CalibrationResult
+from measure.api.measuring import search_frame_sets
+from measure.api.outputs import check_apart, output
+from measure.api.profiles import build_detectors, load_profile
+from measure.api.refining import clock_shifts, lenient, measure_all
+from measure.calibration import RigCalibration, judge, provenance
+from measure.calibration.by_body.adjustment import (
+    adjusted,
+    freed_lenses,
+    is_settled,
+    loose_prior,
+    moved_to,
+    recording_of_links,
+    shape_of,
+)
+from measure.calibration.by_body.lenses import link_by_focal_lengths, refuse_open, usual_lens
+from measure.calibration.by_body.linking import Instant, link
+from measure.calibration.refining.procedure import AdjustedRig, adjust_measured
+from measure.calibration.refining.recording import ball_places, recording_of
+from measure.calibration.targets import MarkerField
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
+from measure.host import Registry
+from measure.measuring import Measurement, Profile
+from measure.model import Body, Camera, Intrinsics, RigObservations
+from measure.processes import Progress, quiet
+from measure.session import (
+    Calibration,
+    Session,
+    clock_values,
+    open_session,
+    read_intrinsics,
+    write_calibration,
+)
+from measure.session.streams import Stream
+
+_SEARCHED = 100  # Instants at which whole pictures are searched, spread over the recording
+_MEASURED = 150  # Frame sets, about so many, that are measured while the cameras are rough
+_MOST_ROUNDS = 6
+_ROUGH = 4.0  # Times as well as from single pictures lenses are known from what is measured
+BY_BODY = "body"
+
+
+def calibrate_by_body(
+    session: Path | str,
+    body: Path | str | None,
+    registry: Registry,
+    lenses: Path | str | None = None,
+    profile: str = "precise",
+    progress: Progress = quiet,
+) -> CalibrationResult:
+    """Calibrate a session's cameras by the body that is waved before them.
+
+    The session needs no calibration. The world is the first camera's frame.
+
+    Args:
+        body: body file; the session's own if omitted.
+        lenses: calibration of which the lenses are used, and nothing else.
+        profile: how to measure, by name or TOML file.
+
+    Raises:
+        CalibrationError: a camera is not located, or the motion leaves something open.
+    """
+    known = None if lenses is None else read_intrinsics(lenses)
+    source = f"in {lenses}"
+    with open_session(session, _cameras_of(known, session, source), body) as opened:
+        chosen = load_profile(profile)
+        steps = _Steps(progress, opened)
+        first, cameras = _linked(opened, known is not None, chosen, registry, steps)
+        measure = partial(_measured, opened, lenient(chosen), registry, steps)
+        rig = _settled(opened.body, first, cameras, measure, steps.step)
+        if known is None:
+            refuse_open(rig.refinement.cameras, rig.recording)
+        clocks = clock_values(opened.clock_digest, clock_shifts(rig, opened.clock_shifts_s))
+        shape = shape_of(rig.refinement, opened.body, rig.recording)
+        located = RigCalibration(
+            shape.cameras,
+            BY_BODY,
+            {},
+            None,
+            RigObservations(),
+            MarkerField(),
+            cameras_before=first,
+            around=ball_places(rig.recording.world_from_body, opened.body.centers),
+            joint=shape.joint,
+        )
+        verdict = replace(judge(located, opened.body), held_out_px=rig.halves.held_out_px[1])
+        values = provenance(located, verdict, opened.name) | clocks
+        values |= {
+            "body": opened.body.name,
+            "frame_sets": rig.refinement.frames,
+            "joint_covariance": shape.joint,
+        }
+    calibration = Calibration(shape.cameras, values, shape.scale_sd)
+    return CalibrationResult(calibration, located, verdict)
+
+
+def calibrate_by_body_to(
+    out: Path,
+    session: Path,
+    body: Path | None,
+    registry: Registry,
+    lenses: Path | None = None,
+    progress: Progress = quiet,
+    *,
+    file_format: str = "triball",
+    report: Path | None = None,
+    overwrite: bool = False,
+) -> tuple[CalibrationResult, Path]:
+    """`calibrate_by_body`, written to a file, with the report as a page beside it."""
+    from measure.viewing.report.calibration_report import calibration_report
+
+    page = out.with_suffix(".html") if report is None else report
+    check_apart(out, page)
+    with output(out, overwrite) as file, output(page, overwrite) as written:
+        result = calibrate_by_body(session, body, registry, lenses, progress=progress)
+        write_calibration(file, result.calibration, file_format)
+        made = calibration_report(str(session), result.rig, result.verdict)
+        written.write_text(made, encoding="utf-8")
+    return result, page
+
+
+def _cameras_of(
+    known: Mapping[str, Intrinsics] | None, session: Path | str, source: str
+) -> Callable[[Mapping[str, Stream]], Calibration]:
+    """Gives the session's cameras with their lenses, usual ones if none are known, in one place."""
+
+    def lens_of(name: str, stream: Stream) -> Intrinsics:
+        if known is None:
+            return usual_lens(stream.size_wh)
+        if name not in known:
+            raise CalibrationError(
+                f"camera '{name}' of {session} has no lens {source}; there is one of "
+                f"{', '.join(known)}"
+            )
+        have, want = stream.size_wh, known[name].size_wh
+        if have != tuple(want):
+            raise CalibrationError(
+                f"camera '{name}': the images ({stream.source}) are {have[0]}x{have[1]} px, but "
+                f"its lens {source} is one for {want[0]}x{want[1]} px"
+            )
+        return known[name]
+
+    def calibration(streams: Mapping[str, Stream]) -> Calibration:
+        world = RigidTransform.identity()
+        return Calibration(tuple(Camera(n, lens_of(n, s), world) for n, s in streams.items()))
+
+    return calibration
+
+
+class _Steps:
+    """Progress over what is searched and measured, one after the other."""
+
+    def __init__(self, progress: Progress, session: Session) -> None:
+        self._progress, self._before, self._now = progress, 0, 0
+        total = len(session.pair().times_s)
+        self.step = max(1, total // _MEASURED)
+        self._expected = min(_SEARCHED, total) + 3 * (total // self.step)
+        self._expected += total if self.step > 1 else 0
+
+    def begin(self) -> None:
+        """Something new begins."""
+        self._before += self._now
+        self._now = 0
+
+    def __call__(self, done: int, total: int | None = None) -> None:
+        """So much of it is done."""
+        del total
+        self._now = done
+        so_far = self._before + done
+        self._progress(so_far, max(self._expected, so_far))
+
+
+def _linked(
+    session: Session, lenses_known: bool, profile: Profile, registry: Registry, steps: _Steps
+) -> tuple[tuple[Camera, ...], tuple[Camera, ...]]:
+    """The cameras as single pictures place them, and adjusted to these.
+
+    The first ones state what is known of the lenses before the adjustment.
+    """
+    detectors = build_detectors(profile, registry, session.body, session.cameras)
+    total = len(session.pair().times_s)
+    chosen = np.unique(np.linspace(0, total - 1, min(_SEARCHED, total)).round().astype(int))
+    found = []
+    for frame_set, (seen,) in search_frame_sets(session, [detectors], chosen.tolist()):
+        found.append(Instant(frame_set.time_s, seen))
+        steps(len(found))
+    lenses = {camera.name: camera.intrinsics for camera in session.cameras}
+    if lenses_known:
+        linked = link(lenses, session.body, found)
+    else:
+        linked = link_by_focal_lengths(lenses, session.body, found)
+    first, recording = linked.cameras, recording_of_links(linked, session.body)
+    try:
+        now = adjusted(first, session.body, recording).cameras
+    except CalibrationError:
+        return first, first  # measured with them as they are
+    if not lenses_known:
+        refuse_open(now, recording, _ROUGH)
+    return first, now
+
+
+def _measured(
+    session: Session,
+    profile: Profile,
+    registry: Registry,
+    steps: _Steps,
+    cameras: tuple[Camera, ...],
+    step: int,
+) -> list[Measurement]:
+    """Every so-many-th frame set measured, as if the cameras were known exactly."""
+    steps.begin()
+    exact = tuple(
+        Camera(c.name, replace(c.intrinsics, covariance=None), c.world_from_camera) for c in cameras
+    )
+    opened = replace(session, cameras=exact, step=step)
+    return measure_all(opened, profile, registry, steps)[0]
+
+
+def _settled(
+    body: Body,
+    first: tuple[Camera, ...],
+    cameras: tuple[Camera, ...],
+    measure: Callable[[tuple[Camera, ...], int], list[Measurement]],
+    step: int,
+) -> AdjustedRig:
+    """Measured with the cameras found and adjusted again, until they stay where they are.
+
+    Unknown lenses get as free in the second round as suits instants that are held out.
+    """
+    for number in range(_MOST_ROUNDS):
+        measured = measure(cameras, step)
+        recording = recording_of(measured, body, doubtful_too=True)
+        first = moved_to(first, cameras)
+        if number == 1:
+            first = freed_lenses(first, body, recording)
+        refinement = adjusted(first, body, recording)
+        settled = is_settled(cameras, refinement)
+        cameras = refinement.cameras
+        if settled and number:
+            break
+    if step > 1:
+        measured = measure(cameras, 1)
+    first = moved_to(first, cameras)
+    return adjust_measured(first, body, measured, None, loose_prior(first))

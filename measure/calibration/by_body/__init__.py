@@ -1,0 +1,1 @@
+"""Calibration by the waved body itself, without a board and without a first calibration."""
