@@ -17,6 +17,7 @@ class Word(StrEnum):
     CLOCK_STEP = "clock-step"
     MOVED = "moved"
     MOVED_AT = "moved-at"
+    DRIFT = "drift"
     ZOOM = "zoom"
     POINT = "principal-point"
     MIRRORED = "mirrored"
@@ -170,6 +171,7 @@ _RIVALS = {
     Word.CLOCK_STEP: ("the clock of {of} steps", "all clocks step"),
     Word.MOVED: ("{of} was moved", "all cameras were moved"),
     Word.MOVED_AT: ("{of} was moved midway", "all cameras were moved midway"),
+    Word.DRIFT: ("{of} drifts", "all cameras drift"),
     Word.ZOOM: ("{of} was zoomed or focused", "all cameras were zoomed or focused"),
     Word.POINT: (
         "the principal point of {of} is off",

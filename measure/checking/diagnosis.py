@@ -28,6 +28,7 @@ _WELL_EXPLAINED = 0.4
 """And of balls that were followed, below which their causes need no second look: 0.1 to 0.25 where
 nothing else is off."""
 _CLOCK_WRONG_S, _CLOCK_NAMED_S = 0.002, 0.0005
+_DRIFT_NAMED_PX = 0.5  # Over the recording
 _RADIUS_WRONG = 0.05  # Share of a radius that no outline's bias is: less is measured with
 
 
@@ -177,6 +178,11 @@ def _unknown(camera: str | None, others: Sequence[Cause]) -> Cause:
 
 def _matters(evidence: Evidence, one: Explanation) -> bool:
     """Whether it is large enough to be told."""
+    if one.hypothesis.word is Word.DRIFT:
+        names = [camera.name for camera in evidence.cameras]
+        lens = evidence.cameras[names.index(one.hypothesis.of)].intrinsics
+        way = one.fit.amount.size * float(np.ptp(evidence.times_s))
+        return lens.focal_px * way >= _DRIFT_NAMED_PX
     return one.hypothesis.word is not Word.CLOCK or _off_s(evidence, one) >= _CLOCK_NAMED_S
 
 
@@ -358,6 +364,13 @@ def _moved_at(part: _Search) -> _Told:
     return turn, sd, "deg", text, "measure up to there, or calibrate it again for the rest"
 
 
+def _drift(part: _Search) -> _Told:
+    rate, sd = (60 * float(np.degrees(x)) for x in (part.size, part.sd))
+    text = f"{part.who} drifts by {rate:.2f} +- {sd:.2f} deg a minute"
+    remedy = "does its stand sag, or does it warm up? let it run warm, fasten it, calibrate again"
+    return rate, sd, "deg/min", text, remedy
+
+
 def _zoom(part: _Search) -> _Told:
     estimate, sd = 100 * float(np.expm1(part.values[0])), 100 * part.sd
     amount = f"{estimate:+.2f} +- {sd:.2f} %"
@@ -464,6 +477,7 @@ _WORDING: dict[Word, Callable[[_Search], _Told]] = {
     Word.CLOCK_STEP: _clock_step,
     Word.MOVED: _moved,
     Word.MOVED_AT: _moved_at,
+    Word.DRIFT: _drift,
     Word.ZOOM: _zoom,
     Word.POINT: _point,
     Word.SCALE: _scale,

@@ -57,7 +57,7 @@ _WHOLE = 0.2  # By which a mistake that holds or does not may seem to hold by mo
 class Amount(NamedTuple):
     """What a hypothesis is off by, of which its parameters may say several: the surest."""
 
-    what: str  # "turn", "shift" or "roll" of a moved camera; "rate" of a clock; else empty
+    what: str  # "turn", "shift" or "roll" of a moved camera; "rate" of what drifts; else empty
     size: float
     sd: float  # along itself
 
@@ -450,7 +450,7 @@ def _parts(evidence: Evidence, poses: RigidTransform, one: Hypothesis) -> dict[s
     """What may be said of a hypothesis: its parts (s, q) by its parameters."""
     eye = np.eye(one.basis.shape[1])
     if one.drifts:
-        return {"rate": eye[-1:]}
+        return {"rate": eye[len(eye) // 2 :]}
     if one.word is not Word.MOVED or len(eye) < 6:
         return {"": eye}
     index = [camera.name for camera in evidence.cameras].index(one.of)

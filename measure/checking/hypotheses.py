@@ -30,6 +30,7 @@ MIDWAY = {Word.CLOCK: Word.CLOCK_STEP, Word.MOVED: Word.MOVED_AT, Word.ZOOM: Wor
 
 
 _IN_LINE_MM = 1e-3
+_SLOW_S = 10.0  # Of a recording that may show that a camera drifts
 _SHOWS_MM = 0.1  # By which a mistake in the body file moves a ball at least that pictures show
 _PERMUTED = 4  # Balls of which every order is tried; of more, exchanges of two
 WHOLE = (Word.EXCHANGED_BALLS, Word.MIRRORED)
@@ -45,7 +46,7 @@ class Hypothesis(NamedTuple):
     of: str  # the camera or ball; empty for all
     basis: Floats  # (p, q) the rig's parameters by those of the hypothesis
     since: int | None = None  # the first instant for which it holds; None for all
-    drifts: bool = False  # the last parameter grows with time, by its value a second
+    drifts: bool = False  # the second half of its parameters grow with time, by so much a second
     wanders: bool = False  # equally many parameters are of each instant alone
 
     def profile(self, times_s: Floats) -> Floats:
@@ -56,7 +57,7 @@ class Hypothesis(NamedTuple):
             count = out.shape[1] // len(times_s)
             out = np.asarray(np.kron(np.eye(len(times_s)), np.ones((1, count))), np.float64)
         if self.drifts:
-            out[:, -1] = times_s - np.mean(times_s)
+            out[:, out.shape[1] // 2 :] = (times_s - np.mean(times_s))[:, None]
         return out
 
 
@@ -84,6 +85,9 @@ def hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
         if len(cameras) > 2:
             pose = evidence.of_camera(index, SHIFT) + evidence.of_camera(index, TURN)
             yield Hypothesis(Word.MOVED, camera.name, columns(*pose))
+            if np.ptp(evidence.times_s) >= _SLOW_S:
+                turn = columns(*evidence.of_camera(index, TURN)[:2])
+                yield Hypothesis(Word.DRIFT, camera.name, np.hstack([turn, turn]), drifts=True)
     enlarged = np.zeros((size, 1))
     for index, camera in enumerate(cameras):
         own = _enlarged(evidence, index)

@@ -37,6 +37,7 @@ def diagnosed(
     stray=(),
     aside_px=(0.0, 0.0),
     truth=RAVEN,
+    rate=RATE,
 ):
     """`real(k)` says where cameras truly stand; `late(k)` how late their stamps are, in s.
 
@@ -47,8 +48,8 @@ def diagnosed(
     found, samples = [], []
     for k in range(COUNT):
         rng = np.random.default_rng([seed, k])
-        seen = see(real(k), truth, path, 0.1, rng, k / RATE + np.zeros(4))
-        stamps = dict(zip(CAMERAS, k / RATE + late(k), strict=True))
+        seen = see(real(k), truth, path, 0.1, rng, k / rate + np.zeros(4))
+        stamps = dict(zip(CAMERAS, k / rate + late(k), strict=True))
         seen = [
             replace(d, time_s=stamps[d.camera], center_px=np.add(d.center_px, aside_px))
             for d in seen
@@ -123,6 +124,23 @@ def test_a_knocked_camera_is_named_with_amount_and_time(name):
     assert abs(cause.estimate - np.degrees(0.005)) < 4 * cause.sd
     assert "0.27 s" in cause.text
     assert "measure up to there" in cause.remedy
+
+
+@pytest.mark.parametrize("name", ["cam0", "cam2"])
+def test_a_camera_that_drifts_is_named_with_its_rate(name):
+    """In a minute; one that was knocked midway, or stands elsewhere from the start, does not."""
+    slow, deg_a_minute = COUNT / 60, 0.2
+    way = np.radians(deg_a_minute) * np.array([0.6, -0.8, 0.0])
+    cause = first(diagnosed(real=lambda k: turned(name, way * k / slow / 60), rate=slow))
+    assert (cause.cause, cause.of, cause.unit) == (Word.DRIFT, name, "deg/min")
+    assert abs(cause.estimate - deg_a_minute) < 2 * cause.sd
+    assert cause.sd < deg_a_minute / 5
+    assert diagnosed(rate=slow).causes == ()
+    knocked = turned(name, way)
+    midway = first(diagnosed(real=lambda k: knocked if k >= 12 else CAMERAS, rate=slow))
+    assert (midway.cause, midway.of) == (Word.MOVED_AT, name)
+    always = first(diagnosed(real=lambda _: knocked, rate=slow))
+    assert (always.cause, always.of) == (Word.MOVED, name)
 
 
 def test_what_is_no_ball_hides_no_cause():
