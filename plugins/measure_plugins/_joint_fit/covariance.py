@@ -17,10 +17,10 @@ from measure_plugins._joint_fit.elimination import prior_view_shifts
 from measure_plugins._joint_fit.problem import PackedOutlines
 from measure_plugins._joint_fit.solve import OutlineFit, Start, fit_outlines
 
-_MIN_COMMON_SHIFT_PX = 0.06
-"""Least standard deviation of a ball's shift by light that all cameras share, however well they
-agree: chosen on rendered recordings, dim rooms and large lamps among them, so that 95 % regions
-hold the truth in 95 %."""
+_COMMON_SHIFT_PX = 0.05
+"""Standard deviation of a ball's shift by light that all cameras share, however well they agree:
+chosen on rendered recordings so that the normalised squared error is near one. Neither the scatter
+of outlines nor how far the correction moves them predicts it (docs/explanation/research_log.md)."""
 _PER_BALL_SHARE = 0.4
 """Share of that variance that is independent from ball to ball; as much again is common to all
 balls, and moves the body without turning it. With independent shifts alone the stated variance of
@@ -161,16 +161,13 @@ def light_covariance(seen: _SeenBalls, fit: OutlineFit, ball_of: Ints) -> Floats
     """What shifts of a ball that all cameras share add to the pose's covariance (6, 6).
 
     Light falls on a ball from the same side for all cameras and shifts its outlines: the part of
-    the shift that they share moves the ball and leaves no residual. Its standard deviation is taken
-    as that of the part that does leave one, the random effects, and at least
-    `_MIN_COMMON_SHIFT_PX`. Partly it is independent from ball to ball, and partly the same for all
-    balls, as an error of the tone curve is for balls under the same light. See
-    docs/explanation/joint_fit.md, formula 18.
+    the shift that they share moves the ball and leaves no residual. Partly it is independent from
+    ball to ball, and partly the same for all balls, as an error of the tone curve is for balls
+    under the same light. See docs/explanation/joint_fit.md, formula 18.
     """
     levers = np.zeros((int(np.max(ball_of)) + 1, 6, 3))
     np.add.at(levers, ball_of, fit.by_ball)
     together = levers.sum(axis=0)
     out = np.einsum("bik,bjk->ij", levers, levers) + together @ together.T
-    common_px = max(float(fit.effect_sd_px[0]), _MIN_COMMON_SHIFT_PX)
-    common_mm = common_px * float(np.mean(seen.distance_mm / seen.focal_px))
+    common_mm = _COMMON_SHIFT_PX * float(np.mean(seen.distance_mm / seen.focal_px))
     return np.asarray(out * (_PER_BALL_SHARE * common_mm**2))
