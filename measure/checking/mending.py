@@ -69,7 +69,7 @@ class Estimate:
     @property
     def deviations(self) -> float:
         """By how many of its standard deviations it differs from nothing."""
-        distance = self.values @ symmetric_inverse(self.covariance) @ self.values
+        distance = float(self.values @ symmetric_inverse(self.covariance) @ self.values)
         return float(np.sqrt(max(distance, 0.0) / len(self.values)))
 
     @property

@@ -143,8 +143,8 @@ def _values(path: Path) -> dict[str, Any]:
     if path.suffix == ".urdf":
         return {"robot": path.stem, "urdf": path.name}
     if path.suffix in YAML:
-        known = _values(BUILTIN / "ur5e.toml")  # all arms of UR name their joints alike
-        return {**known, "robot": path.stem, "calibration": path.name}
+        alike = _values(BUILTIN / "ur5e.toml")  # all arms of UR name their joints alike
+        return {**alike, "robot": path.stem, "calibration": path.name}
     values = parse_toml(read_toml_text(path, EstimatorError))
     like = values.pop("like", None)
     if like is None:
