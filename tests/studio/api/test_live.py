@@ -24,11 +24,12 @@ from measure.api.profiles import load_profile
 from measure.cli import main
 from measure.host import Registry
 from measure.results import read_run
-from measure.session import read_trajectory
+from measure.session import read_calibration, read_trajectory
 from measure_studio.api import LiveOptions, live, parse_cameras
 from tests.camera_server import ServedCamera, serving
 from tests.faults.cameras import FAULTS
 from tests.faults.hostile_camera import LOGIN, TOKEN, HostileCamera, hostile
+from tests.simulated.knocked import TURN_DEG, turned
 
 pytestmark = pytest.mark.usefixtures("signals")
 
@@ -214,6 +215,42 @@ def test_a_camera_beside_its_place_is_flagged(session, tmp_path):
     wrong = read_run(out)
     believed = [row for row in wrong.poses.to_pylist() if row["status"] == "ok"]
     assert believed == []
+
+
+@pytest.mark.slow
+def test_a_camera_that_is_knocked_is_brought_back(session, tmp_path):
+    """Once it has shown the moving body from its new place for a while."""
+    cameras, out, stop = served(session), tmp_path / "run", threading.Event()
+    rig = session / "calibration.toml"
+    camera = read_calibration(rig).camera("cam1")
+    shown = sorted((session / "cam1").glob("*.jpg"))
+    later, seen = [turned(picture, camera) for picture in shown], []
+
+    def hear(state):
+        seen.append(state)
+        if state.frame_sets == 6:
+            cameras["cam1"].pictures = later
+        changes = state.latest[0].rig.changes
+        if changes and changes[-1].world_from_camera and "cam1" in state.latest[0].pose.cameras:
+            stop.set()
+
+    with serving(cameras) as addresses:
+        given = parse_cameras([f"{name}={address}" for name, address in addresses.items()])
+        how = load_profile("precise"), Registry.discover(), LiveOptions(seconds=90.0, stop=stop)
+        live(given, out, rig, [session / "body.toml"], *how, hear)
+    run = read_run(out)
+    left_out, back = run.camera_changes
+    assert left_out.world_from_camera is None
+    turn = (camera.world_from_camera.inverse() @ back.world_from_camera).rotvec
+    off_deg = np.linalg.norm(np.degrees(turn) - TURN_DEG)
+    assert off_deg < 3 * np.degrees(np.sqrt(np.trace(back.covariance[3:, 3:])))
+    away = [one.latest[0] for one in seen[left_out.frame_set : back.frame_set]]
+    assert away
+    for one in away:
+        assert "cam1 was moved, and is left out" in one.doubts
+        assert one.pose is None or "cam1" not in one.pose.cameras
+    (said,) = [f for f in run.summary.findings if f.code == "moved-at"]
+    assert (said.level, said.subject) == ("note", "cam1")
 
 
 def test_recording_keeps_every_byte_and_its_time(session, tmp_path, capsys):
