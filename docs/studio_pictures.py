@@ -82,7 +82,7 @@ def _calibrate(page: Chromium, scratch: Path, folder: Path | None) -> None:
 
 
 def _make_the_body(page: Chromium, scratch: Path, folder: Path | None) -> None:
-    """Markers that are clicked, and a body that is turned, before two cameras."""
+    """Markers that are clicked, and a body that is turned, before three cameras."""
     desk, rng, true = scratch / "desk", np.random.default_rng(0), new.cameras()
     desk.mkdir()
     write_calibration(desk / "calibration.toml", Calibration(true))
@@ -97,6 +97,9 @@ def _make_the_body(page: Chromium, scratch: Path, folder: Path | None) -> None:
         go(page, address + "body")
         new.make_the_body(page, new.Waits())
         _take(page, "body", folder)
+        go(page, address + "recordings")
+        page.wait_for("!!document.querySelector('[data-recording]')", 20)
+        _take(page, "recordings", folder)
 
 
 def _served(cameras: dict[str, list[bytes]]) -> dict[str, ServedCamera]:

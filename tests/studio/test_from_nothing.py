@@ -1,4 +1,7 @@
-"""In a browser: from an empty folder to believed poses, through every step."""
+"""In a browser: an object of one's own, from an empty folder to believed poses.
+
+Through every step, with both boards; each last change is taken back once.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +10,23 @@ import re
 import time
 import urllib.error
 import urllib.request
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from measure.calibration import Charuco, Chessboard
 from measure.geometry import RigidTransform
 from measure.results import read_run
 from measure.session import read_body, read_calibration
-from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
+from measure.simulation.catalogue import WORKSPACE_MM, shaft, stems, webcam_scene
+from measure_studio.page.layout import WIDTH_PX
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium
+from tests.simulated.catalogue import body
 from tests.simulated.sessions import rendered
 from tests.studio import desk, waved
 
@@ -31,27 +38,39 @@ SHOWN = "document.querySelectorAll('img.live[src^=blob]').length == {}"
 SETTLED = 8  # Pictures
 PERIOD_S, AT_REST_S = 0.3, 0.1
 """Pictures of one instant are told apart from the next ones on a busy machine, too."""
-MOST_PRESSES, MOST_TYPED, MOST_WAITING_S = 12, 60, 240.0
+MOST_PRESSES, MOST_TYPED, MOST_WAITING_S = 12, 60, 400.0
 PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "set_up_in_the_browser.md"
+AZIMUTHS_DEG = (60.0, 90.0, 120.0)
+MAGENTA = "pink"  # As the program calls it
+CHIPS = "document.querySelectorAll('[data-ball]{}').length"
 
 
-class CHARUCO:
-    """A board that is waved, at instants that fill all parts of both pictures, near and far."""
+@dataclass(frozen=True)
+class Waved:
+    """A board that is waved, at instants that fill all parts of the pictures, near and far."""
 
-    POSES_S = (20.8, 170.0, 144.8, 138.4, 9.2, 73.2, 6.4, 14.8, 30.0, 41.0, 52.0, 60.0)
+    board: Callable[[], Charuco | Chessboard]
+    poses_s: tuple[float, ...]
 
-    @classmethod
-    def poses(cls):
+    def poses(self):
         """world_from_board, each pose twice: out of step, cameras take the second."""
-        return [waved.waved(t) for t in np.repeat(cls.POSES_S, 2)]
+        return [waved.waved(t, self.board()) for t in np.repeat(self.poses_s, 2)]
 
-    @classmethod
-    def pictures(cls, rng, rig):
+    def pictures(self, rng, rig):
         """What cameras see of them."""
-        return {c.name: [jpeg(waved.picture(c, p, rng)) for p in cls.poses()] for c in rig}
+        board, poses = self.board(), self.poses()
+        return {c.name: [jpeg(waved.picture(c, p, rng, board)) for p in poses] for c in rig}
 
 
-def cameras(azimuths_deg=(60, 120)):
+CHARUCO = Waved(
+    waved.board, (20.8, 170.0, 144.8, 138.4, 9.2, 73.2, 6.4, 14.8, 30.0, 41.0, 52.0, 60.0)
+)
+PLAIN = Waved(
+    waved.plain_board, (174.4, 296.2, 383.8, 46.4, 97.0, 230.4, 3.2, 335.8, 136.0, 263.2, 202.4)
+)
+
+
+def cameras(azimuths_deg=AZIMUTHS_DEG):
     """Those before which the board is waved, where the workspace is."""
     up, rig = RigidTransform(np.eye(3), WORKSPACE_MM), waved.rig(azimuths_deg)
     return tuple(replace(c, world_from_camera=up @ c.world_from_camera) for c in rig)
@@ -61,9 +80,22 @@ def jpeg(pixels):
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 97])[1].tobytes()
 
 
+def own_object():
+    """An object with four balls of other colours than the paper's, and how it is turned."""
+    places = {
+        "white": (34.0, 6.0, -4.0),
+        "blue": (-8.0, 33.0, 6.0),
+        "orange": (-31.0, -9.0, -6.0),
+        "magenta": (6.0, -30.0, 14.0),
+    }
+    own = body("my object", places, 15.0)
+    attached = (*stems(own), shaft(color=(0.02,) * 3))
+    return replace(webcam_scene(), name="own", body=own, cameras=cameras(), attached=attached)
+
+
 def ball_pictures():
-    """Of the paper's body while it is turned."""
-    folder = rendered(replace(webcam_scene(), cameras=cameras()), np.arange(8) / 20)
+    """Of the object while it is turned."""
+    folder = rendered(own_object(), PERIOD_S * np.arange(10))
     return {
         c.name: [file.read_bytes() for file in sorted((folder / c.name).glob("*.jpg"))]
         for c in cameras()
@@ -78,8 +110,8 @@ def at_rest(picture, rng):
 
 
 def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
-    home, balls = tmp_path / "desk", ball_pictures()
-    boards = CHARUCO.pictures(rng, waved.rig())
+    home, balls, rig = tmp_path / "desk", ball_pictures(), waved.rig(AZIMUTHS_DEG)
+    boards = CHARUCO.pictures(rng, rig)
     served = {n: ServedCamera(some, PERIOD_S, stamps=True) for n, some in boards.items()}
     with serving(served) as addresses, desk.studio(home) as address, Chromium(1440, 900) as page:
         waits = Waits()
@@ -89,22 +121,28 @@ def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
         desk.go_on(page, "Calibration")
         wave_the_board(page, waits)
         serve(served, {n: at_rest(some[0], rng) for n, some in boards.items()})
-        check_pair(home, 1.5, 0.3)
+        check_rig(home, 1.5, 0.3)
         desk.go_on(page, "World")
         put_the_world_at_the_board(page, waits)
-        serve(served, balls)
+        serve(served, {n: at_rest(some[0], rng) for n, some in balls.items()})
         desk.go_on(page, "Body")
+        click_balls(page, home)
+        serve(served, balls)
         make_the_body(page, waits)
         check_body(home)
+        rename_and_take_back(page, home)
         serve(served, {n: at_rest(some[0], rng) for n, some in balls.items()}, AT_REST_S)
         desk.go_on(page, "Measure")
         measure(page, waits)
         check_steps(page, waits)
         mark_an_event(page)
+        check_served_files(address)
+        check_run(home, addresses)
+        look_through_recordings(page, address, home)
+        serve(served, PLAIN.pictures(rng, rig))
+        take_the_board_that_is_seen(page, address, home)
         assert page.errors == []
         assert [r for r in page.requests if not r.startswith((address, "blob:", "data:"))] == []
-        check_served_files(address)
-    check_run(home, addresses)
 
 
 class Waits(dict[str, float]):
@@ -132,13 +170,13 @@ def serve(served, pictures, period_s=PERIOD_S):
 def add_cameras(page, addresses):
     """All at once, by a range in the address, as it is typed for two as for four."""
     desk.count(page)  # The field is clicked
-    first, last = addresses.values()
-    both = first.replace("/cam0", "/cam[0-1]")
-    assert last == first.replace("/cam0", "/cam1")
-    desk.fill(page, "Camera", both)
-    desk.count(page, 0, len(both))
+    first, *_, last = addresses.values()
+    every = first.replace("/cam0", "/cam[0-2]")
+    assert last == first.replace("/cam0", "/cam2")
+    desk.fill(page, "Camera", every)
+    desk.count(page, 0, len(every))
     desk.strike(page, "Enter", "\r")
-    page.wait_for(SHOWN.format(2), 30)
+    page.wait_for(SHOWN.format(3), 30)
     for fact in ("640 x 480 px", "its own clock"):
         page.wait_for(f"document.body.innerText.includes('{fact}')", 20)
     page.wait_for(desk.is_done("Cameras"), 20)
@@ -148,7 +186,6 @@ def wave_the_board(page, waits):
     """Advice comes till nothing is missing; then the cameras are calibrated without a click."""
     desk.press(page, "wave the board")
     page.wait_for(f"/cam/.test({ADVICE})", 30)
-    page.wait_for("document.querySelectorAll('.over circle.corner').length > 6", 30)
     waits.note(page, "waving", f"{desk.FOOT}.includes('calibrating') || {JUDGEMENT}", 240)
     waits.note(page, "calibrating", f"/The cameras are calibrated/.test({JUDGEMENT})", 120)
     page.wait_for(desk.is_done("Calibration"), 20)
@@ -156,7 +193,7 @@ def wave_the_board(page, waits):
 
 
 def put_the_world_at_the_board(page, waits):
-    """It is at rest by now, where both cameras see it."""
+    """It is at rest by now, where all cameras see it."""
     page.wait_for("document.body.innerText.includes('The board is seen')", 30)
     assert page.evaluate(f"!{desk.is_done('World')}")
     desk.press(page, "set the origin")
@@ -164,14 +201,49 @@ def put_the_world_at_the_board(page, waits):
     page.wait_for("document.querySelectorAll('.over path.axis.z').length >= 2", 20)
 
 
+def click_balls(page, home):
+    """All were found; the ground teaches nothing, and pictures stay where they are."""
+    page.wait_for(SHOWN.format(3), 60)
+    page.wait_for(f"{CHIPS.format('')} == 4", 120)
+    top = "document.querySelector('img.live').getBoundingClientRect().top + scrollY"
+    before = page.evaluate(top)
+    desk.click_at(page, "img.live", 20, 20)
+    page.wait_for("document.body.innerText.includes('no ball-like patch')", 20)
+    assert not (home / "colours.toml").exists()
+    scene = own_object()
+    pose = scene.trajectory.at(np.zeros(1))
+    center = pose.apply(scene.body.centers[scene.body.index("blue")][None])
+    at = np.ravel(scene.cameras[0].project(center.reshape(1, 3)))
+    scale = min(1.0, WIDTH_PX / scene.cameras[0].intrinsics.size_wh[0])
+    desk.click_at(page, "img.live", *(scale * (at + 0.5) - 0.5))
+    page.wait_until((home / "colours.toml").exists, "blue is learnt", 20)
+    page.wait_for("/learnt/.test(document.querySelector('[data-ball=blue]').innerText)", 20)
+    assert page.evaluate(top) == before
+
+
 def make_the_body(page, waits):
-    """Balls of the paper's colours need no click: a recording says where they are on the body."""
-    page.wait_for(SHOWN.format(2), 30)
+    """No colour is chosen: a recording says where the balls are on the body."""
+    desk.count(page, 1, 2)  # The field is clicked
+    desk.fill(page, "Radius of the balls, mm", "15")
+    desk.fill(page, "Seconds", "6")
     desk.press(page, "record and measure")
-    waits.note(page, "body", f"/body-1.*3 balls/.test({desk.FOOT})", 240)
-    page.wait_for(f"/red - green|green - red/.test({FIGURES})", 20)
+    waits.note(page, "body", f"/body-1.*4 balls/.test({desk.FOOT})", 240)
+    page.wait_for(f"{CHIPS.format('.sure')} == 4", 20)
+    page.wait_for(f"/blue - white|white - blue/.test({FIGURES})", 20)
     page.wait_for(desk.is_done("Body"), 20)
     page.wait_for(desk.ONE_PRIMARY, 20)
+
+
+def rename_and_take_back(page, home):
+    """The name in the list is that in the file."""
+    name = "document.querySelector('[data-ball=white] input').value"
+    desk.fill(page, "name of the white ball", "tip")
+    page.evaluate("document.activeElement.blur()")
+    page.wait_until(lambda: "tip" in read_body(home / "body-1.toml").names, "named", 20)
+    press_in(page, "document", "take back the name")
+    page.wait_until(lambda: "white" in read_body(home / "body-1.toml").names, "taken back", 20)
+    page.wait_for(f"{name} == 'white'", 20)
+    assert page.evaluate(f"{CHIPS.format('.sure')} == 4")
 
 
 def measure(page, waits):
@@ -181,11 +253,11 @@ def measure(page, waits):
 
 
 def mark_an_event(page):
-    """And stop."""
+    """And stop, by the space bar, though the button that began it has the focus."""
     desk.strike(page, "m", "m")
     page.wait_for("document.querySelector('[data-events]').innerText.includes('1. event')", 20)
     page.idle(1.0)
-    desk.press(page, "stop")
+    desk.strike(page, " ", " ")
     page.wait_for("/STOPPED[^]*poses good/.test(document.body.innerText)", 90)
     page.wait_for("!!document.querySelector('a[href$=\"run-1/report.html\"]')", 20)
     page.wait_for(desk.is_done("Measure"), 20)
@@ -209,21 +281,77 @@ def check_steps(page, waits):
     assert {title: [int(clicks), int(typed)] for title, clicks, typed in rows} == made
 
 
-def check_pair(home, mm, deg):
-    """The second camera is where it is from the first."""
+def press_in(page, place, text):
+    """A button in a part of the page; not counted."""
+    page.wait_for(f"!!{place}", 20)
+    inside = desk.BUTTON.format(text).replace("document", place)
+    page.wait_for(f"!!{inside}", 20)
+    page.evaluate(f"{inside}.click()")
+
+
+def look_through_recordings(page, address, home):
+    """Each is checked, drawn, reported and deleted where it stands."""
+    (home / "run-1" / "report.html").unlink()
+    desk.go(page, address + "recordings")
+    row = "document.querySelector('[data-recording=\"{}\"]')"
+    run, session = row.format("run-1"), row.format("session-1")
+
+    press_in(page, run, "3-D")
+    page.wait_for("document.querySelector('.q-dialog canvas')?.width > 100", 30)
+    press_in(page, "document.querySelector('.q-dialog')", "close")
+    page.wait_for("!document.querySelector('.q-dialog')", 20)
+    press_in(page, run, "write the report")
+    page.wait_for(f"{run}?.querySelector('a')?.innerText == 'Report'", 60)
+    press_in(page, session, "check")
+    page.wait_for(f"{session}?.querySelector('.findings')?.innerText.length > 5", 120)
+    press_in(page, session, "delete")
+    press_in(page, "document.querySelector('.q-dialog')", "keep it")
+    page.wait_for("!document.querySelector('.q-dialog')", 20)
+    assert (home / "session-1").is_dir()
+    press_in(page, session, "delete")
+    press_in(page, "document.querySelector('.q-dialog')", "delete it")
+    page.wait_for(f"!{session} && !!{run}", 20)
+    assert not (home / "session-1").exists()
+
+
+def take_the_board_that_is_seen(page, address, home):
+    """Another one is waved than was chosen; then the calibration of before is taken back."""
+    file = home / "calibration.toml"
+    before, notes = file.read_bytes(), read_calibration(file).provenance
+    assert "world" in notes
+    desk.go(page, address + "calibration")
+    page.wait_for(f"!!{desk.BUTTON.format('take back the world')}", 20)
+    desk.press(page, "wave the board")
+    page.wait_for(f"/this is another board/.test({ADVICE})", 60)
+    desk.press(page, "take the board that is seen")
+    page.wait_for(f"/The cameras are calibrated/.test({JUDGEMENT})", 240)
+    chosen = "document.querySelector('.board-tile.chosen').dataset.board"
+    page.wait_for(f"{chosen} == {waved.PLAIN!r}", 20)
+    check_rig(home, 1.5, 0.3)
+    desk.press(page, "take back the calibration")
+    page.wait_until(lambda: file.read_bytes() == before, "taken back", 20)
+    page.wait_for(f"!{JUDGEMENT}", 20)
+
+
+def check_rig(home, mm, deg):
+    """The cameras are where they are from the first one."""
     true, found = cameras(), read_calibration(home / "calibration.toml").cameras
     for one, there in zip(found, true, strict=True):
         assert one.intrinsics.focal_px == pytest.approx(there.intrinsics.focal_px, rel=0.01)
-    ways = [a.world_from_camera.inverse() @ b.world_from_camera for a, b in (found, true)]
-    assert np.linalg.norm(ways[0].translation - ways[1].translation) < mm
-    assert np.degrees(np.linalg.norm((ways[0] @ ways[1].inverse()).rotvec)) < deg
+        ways = [
+            first.world_from_camera.inverse() @ other.world_from_camera
+            for first, other in ((found[0], one), (true[0], there))
+        ]
+        assert np.linalg.norm(ways[0].translation - ways[1].translation) < mm
+        assert np.degrees(np.linalg.norm((ways[0] @ ways[1].inverse()).rotvec)) < deg
 
 
 def check_body(home):
-    found, true = read_body(home / "body-1.toml"), webcam_scene().body
-    for pair, length in true.distances().items():
-        sides = found.distances()
-        assert sides.get(pair, sides.get(pair[::-1])) == pytest.approx(length, abs=0.4)
+    found = read_body(home / "body-1.toml")
+    for pair, length in own_object().body.distances().items():
+        known = [name.replace("magenta", MAGENTA) for name in pair]
+        off = np.subtract(*found.centers_of(known))
+        assert np.linalg.norm(off) == pytest.approx(length, abs=0.3)
 
 
 def check_served_files(address):
@@ -245,11 +373,11 @@ def check_run(home, addresses):
     assert run.times_s[0] < float(event["time_s"]) < run.times_s[-1] + 1
     poses = run.world_from_body[run.unflagged[run.has_pose]]
     assert len(poses.translation) >= 2
-    scene, body = webcam_scene(), read_body(home / "body-1.toml")
+    scene, found = own_object(), read_body(home / "body-1.toml")
     up = RigidTransform(np.diag([1.0, -1, -1]), np.zeros(3))
     world = RigidTransform(np.eye(3), WORKSPACE_MM) @ CHARUCO.poses()[0] @ up
     resting = scene.trajectory.at(np.zeros(1))
     for name in scene.body.names:
         true = resting.apply(scene.body.centers[scene.body.index(name)][None])
-        found = poses.apply(body.centers[body.index(name)][None])
-        assert np.linalg.norm(found - world.inverse().apply(true), axis=-1).max() < 1.5
+        at = poses.apply(found.centers[found.index(name.replace("magenta", MAGENTA))][None])
+        assert np.linalg.norm(at - world.inverse().apply(true), axis=-1).max() < 1.5

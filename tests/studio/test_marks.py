@@ -20,7 +20,7 @@ NOTE = "document.querySelector('.q-notifications')?.innerText.includes({!r})"
 
 
 def test_marks_locate_the_cameras_and_wrong_clicks_mark_nothing(tmp_path, rng):
-    true = cameras()
+    true = cameras((60, 120))
     pictures = {c.name: at_rest(jpeg(waved.dots(c, FIELD.points)), rng) for c in true}
     served = {name: ServedCamera(some, 0.3, stamps=True) for name, some in pictures.items()}
     write_calibration(tmp_path / "calibration.toml", Calibration(true))
@@ -42,7 +42,7 @@ def test_marks_locate_the_cameras_and_wrong_clicks_mark_nothing(tmp_path, rng):
 
 def open_pictures(page):
     page.wait_for(
-        "!!document.querySelector('.q-footer')?.innerText.includes('2 cameras deliver')", 30
+        "!!document.querySelector('.q-footer')?.innerText.includes('cameras deliver')", 30
     )
     choose(page, "Markers of", "raven_markers_16")
     press(page, "open$")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import threading
 from html import unescape
 from pathlib import Path
@@ -162,10 +163,13 @@ def test_a_board_is_as_large_as_it_was_measured(tmp_path):
 
 
 def doubts():
-    """Every sentence in the rooms that raise flags of a pose, with a name where one is put in."""
-    for room in ("measure/measuring", "plugins/measure_plugins/pose_solvers"):
+    """Every sentence of modules that speak of flags or reasons, with a name where one is put in."""
+    for room in ("measure", "plugins"):
         for file in sorted((ROOT / room).rglob("*.py")):
-            tree = ast.parse(file.read_text("utf-8"))
+            text = file.read_text("utf-8")
+            if not re.search(r"\b(flags?|flagged|reason)\b", text):
+                continue
+            tree = ast.parse(text)
             apart = {
                 id(one.value)
                 for one in ast.walk(tree)
@@ -182,7 +186,7 @@ def doubts():
                     text = node.value
                 else:
                     continue
-                if id(node) not in apart and len(text.split()) > 3:
+                if id(node) not in apart and len(text.split()) > 2:
                     yield text
 
 
@@ -198,10 +202,9 @@ def test_every_doubt_stands_below_the_state():
                 doubtful = doubtful.flagged(flag)
             shown = unescape(pose_shown("tool", doubtful, ""))
             assert 'data-state="DOUBTFUL"' in shown
-            first, *others = text.split("; ")
-            for sentence in (first, *others):
+            for sentence in filter(None, text.split("; ")):
                 assert f"<li>{plain(sentence)}</li>" in shown
-                assert len(plain(sentence).split()) > 1
+                assert plain(sentence)
     lost = pose_shown("tool", measurement(1, lost=True), "")
     assert 'data-state="LOST"' in lost
     assert f"<li>{measurement(1, lost=True).reason}</li>" in lost

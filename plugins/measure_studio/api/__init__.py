@@ -3,7 +3,7 @@
 from measure_studio.api.ball_colors import BallColors
 from measure_studio.api.cameras import cameras
 from measure_studio.api.capturing import capture_board
-from measure_studio.api.live import LiveEnd, LiveOptions, LiveState, live
+from measure_studio.api.live import LEARNING, LiveEnd, LiveOptions, LiveState, live
 from measure_studio.api.marks import TYPED
 from measure_studio.api.playing import Pace, PlayEnd, PlayOptions, play
 from measure_studio.api.playing_cameras import CAMERA_PORT, camera_line, play_cameras
@@ -46,12 +46,12 @@ from measure_studio.capture import (
 )
 
 __all__ = [
-    "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "TYPED", "BallColors", "BallWatch", "CameraAddress",
-    "CameraCount", "CameraNow", "CaptureOptions", "CaptureRequest", "Control", "DeviceControls",
-    "FoundCamera", "LiveEnd", "LiveOptions", "LiveState", "Mode", "Pace", "PictureFacts", "PlayEnd",
-    "PlayOptions", "Preview", "RecordedSession", "Recording", "WatchedCamera", "camera_line",
-    "camera_names", "cameras", "capture_board", "contents_of", "delete_recording", "demo_cameras",
-    "described", "live", "next_free", "own_board", "parse_cameras", "parse_controls", "parse_size",
-    "play", "play_cameras", "record", "recordings_in", "trail_of", "usb_notes", "web_viewer",
-    "write_board",
+    "CAMERA_PORT", "COLORS", "DEMO_BOARDS", "LEARNING", "TYPED", "BallColors", "BallWatch",
+    "CameraAddress", "CameraCount", "CameraNow", "CaptureOptions", "CaptureRequest", "Control",
+    "DeviceControls", "FoundCamera", "LiveEnd", "LiveOptions", "LiveState", "Mode", "Pace",
+    "PictureFacts", "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "Recording",
+    "WatchedCamera", "camera_line", "camera_names", "cameras", "capture_board", "contents_of",
+    "delete_recording", "demo_cameras", "described", "live", "next_free", "own_board",
+    "parse_cameras", "parse_controls", "parse_size", "play", "play_cameras", "record",
+    "recordings_in", "trail_of", "usb_notes", "web_viewer", "write_board",
 ]  # fmt: skip

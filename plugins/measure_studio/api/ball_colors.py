@@ -121,11 +121,11 @@ class BallColors:
         like: Path | None = None,
         progress: Progress = quiet,
     ) -> api.FoundBody:
-        """`measure.api.find_body` with these colours and names."""
+        """`measure.api.find_body` with these colours; its balls go by them, see `named`."""
         if like is not None and self.learnt:
             write_body(self.file, read_body(like), self._samples())
             like = self.file
-        found = api.find_body(
+        return api.find_body(
             session,
             registry,
             api.BodySearch(radius_mm, like),
@@ -133,7 +133,6 @@ class BallColors:
             learnt=self.colors,
             without=self.without,
         )
-        return self.named(found)
 
     def named(self, found: api.FoundBody) -> api.FoundBody:
         """The same with the balls called as they are called here; ConfigError: two by one name."""

@@ -34,6 +34,9 @@ from measure_studio.api.sending import Sending, SendOptions, open_sending, sent_
 from measure_studio.capture import CameraAddress, CameraCount, Cameras, Gathering, check_names
 from measure_studio.capture.sources import RECENT, Source
 
+LEARNING = "learning how the balls look from the first pictures"
+"""The last step before the first pose; pictures are recorded from here on."""
+
 
 @dataclass(frozen=True)
 class LiveOptions(recording.CaptureOptions, LogOptions, SendOptions):
@@ -44,6 +47,8 @@ class LiveOptions(recording.CaptureOptions, LogOptions, SendOptions):
     marks: tuple[str, ...] = ()  # where event marks come from, see `marks_received`
     # what is done about cameras that are moved meanwhile; None: they are followed, where they can.
     keep_calibration: Keep | None = None
+    # called with what is done next, before the first pose.
+    on_step: Callable[[str], None] = lambda _: None
 
 
 @dataclass(frozen=True)
@@ -102,8 +107,10 @@ def live(
     """
     share_heaps()
     options = options or LiveOptions()
+    options.on_step("loading what was compiled")
     prepared = _prepare(cameras, out, calibration, bodies, profile, registry, options)
     sent = prepared.sent
+    options.on_step("connecting the cameras")
     with ExitStack() as stack:
         opened = stack.enter_context(recording.open_rig(prepared.sources, sent.cameras, options))
         rig = opened.cameras
@@ -123,6 +130,7 @@ def live(
         stack.enter_context(marks_received(options.marks, rig.clock_s, on_mark))
         # Each call begins with the frame sets that come then.
         frame_sets = partial(gathering.frame_sets, opened.begin(*takers), rig.check)
+        options.on_step(LEARNING)
         pipelines = live_pipelines(prepared.warm, prepared.build, frame_sets)
         keep_cameras(pipelines, options.keep_calibration or "follow")
         looking = stack.enter_context(ThreadPoolExecutor(1))

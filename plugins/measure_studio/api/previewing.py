@@ -38,7 +38,8 @@ _HELD_S = 1.5
 """How long a picture stays in which something was found, if no other comes: what is drawn into a
 newer one would lie beside what moves."""
 SEARCH_SHARE = 0.3  # Share of one core that searching pictures for balls may take
-_MARK_BGR, _BALL_BGR = (255, 0, 255), (255, 255, 255)
+_MARK_BGR, _BALL_BGR, _CORNER_BGR = (255, 0, 255), (255, 255, 255), (255, 229, 0)
+_CORNER_PX = 4  # Radius of the ring round a corner
 _NAME_PX = 17  # Size of names beside outlines
 
 
@@ -105,8 +106,8 @@ class Preview:
         self._newest: dict[str, Image] = {}
         self._came_s: dict[str, float] = {}
         self._balls: dict[str, tuple[float, Sequence[Detection]]] = {}
-        self._shown: dict[tuple[str, int], tuple[Image, bytes, PictureFacts]] = {}
-        self._held: dict[str, tuple[float, Image]] = {}
+        self._shown: dict[tuple[str, int], tuple[Image, bool, bytes, PictureFacts]] = {}
+        self._held: dict[str, tuple[float, Image, Floats]] = {}
 
     def add(self, image: Image) -> None:
         """Take a picture; it is decoded only if it is looked at."""
@@ -136,13 +137,14 @@ class Preview:
         for name, pixels in self.pixels(cameras).items():
             write_named(folder, name, pixels)
 
-    def hold(self, image: Image) -> None:
-        """Show this picture for a moment, in which something was found."""
-        self._held[image.camera] = time.monotonic(), image
+    def hold(self, image: Image, corners: Floats | None = None) -> None:
+        """Show this picture for a moment, in which something was found: corners (n, 2) px."""
+        rings = np.zeros((0, 2)) if corners is None else corners
+        self._held[image.camera] = time.monotonic(), image, rings
 
     def held(self, camera: str) -> Image | None:
         """The picture that is held at the moment; None without one."""
-        since, image = self._held.get(camera, (-math.inf, None))
+        since, image, _ = self._held.get(camera, (-math.inf, None, None))
         return image if time.monotonic() - since < _HELD_S else None
 
     def note_balls(self, image: Image, found: Iterable[Detection]) -> None:
@@ -175,14 +177,15 @@ class Preview:
 
         The newest one, or for a moment the newest in which something was found.
         """
-        image = self.held(camera) or self.newest(camera)
+        held = self.held(camera)
+        image = held or self.newest(camera)
         if image is None:
             return None
-        key = camera, width_px
-        if key not in self._shown or self._shown[key][0] is not image:
+        key, is_held = (camera, width_px), held is not None
+        if key not in self._shown or (image, is_held) != self._shown[key][:2]:
             jpeg = self._drawn(image.pixels, camera, width_px)
-            self._shown[key] = image, jpeg, PictureFacts.of(image.pixels)
-        return self._shown[key][1:]
+            self._shown[key] = image, is_held, jpeg, PictureFacts.of(image.pixels)
+        return self._shown[key][2:]
 
     def last_shown(self, camera: str, width_px: int) -> Image | None:
         """The picture of a camera that somebody looks at in this width; None if nobody does."""
@@ -190,7 +193,7 @@ class Preview:
 
     def facts(self, camera: str) -> PictureFacts | None:
         """What the picture of a camera that was shown last is like; None if none was."""
-        seen = [facts for (name, _), (_, _, facts) in list(self._shown.items()) if name == camera]
+        seen = [shown[-1] for (name, _), shown in list(self._shown.items()) if name == camera]
         return seen[-1] if seen else None
 
     def _drawn(self, pixels: Bytes, camera: str, width_px: int) -> bytes:
@@ -202,6 +205,8 @@ class Preview:
         if self.held(camera) is not None:
             for one in self._balls.get(camera, (0.0, ()))[1]:
                 _outline(small, one.ball, scale * one.center_px, scale * one.radius_px)
+            for u, v in np.rint(scale * self._held[camera][2]).astype(int).tolist():
+                cv2.circle(small, (u, v), _CORNER_PX, _CORNER_BGR, 1, cv2.LINE_AA)
         return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
 
 

@@ -118,6 +118,7 @@ class Bench:
         waiting: what is done next, in turn: titles, and what begins it.
         board: file in the folder, or shipped target, that is waved and that the world begins at;
             the newest file at first, for a board was measured then.
+        seen_board: a board that was seen, and whose size nobody knows yet.
         body: the body that was chosen last, to be looked for in the previews.
         searched: the bodies whose balls are looked for in them.
         viewer: address of the Rerun viewer, while it is there.
@@ -132,6 +133,7 @@ class Bench:
         self.job: Job | None = None
         boards = studio_api.contents_of(folder).boards if folder.is_dir() else ()
         self.board = str(boards[0].relative_to(folder)) if boards else BOARD
+        self.seen_board: api.Charuco | api.Chessboard | None = None
         self.body: Path | None = None
         self.searched: Sequence[api.Body] = ()
         self.viewer = ""
@@ -140,6 +142,7 @@ class Bench:
         self._watched: dict[studio_api.CameraAddress, studio_api.WatchedCamera] = {}
         self._balls: studio_api.BallWatch | None = None
         self._counts: Mapping[str, studio_api.CameraCount] | None = None
+        self._changed = dict[Path, str]()  # What was changed last in files of which one is kept
         self._turn = threading.Lock()
         self._calibration: tuple[int, api.Calibration] | None = None  # When it was written, too
 
@@ -386,17 +389,25 @@ class Bench:
         job.title, out = f"calibrating by {capture.name}", self.folder / CALIBRATION
         before = out.read_bytes() if out.is_file() else None
         found = api.calibrate_to(out, capture, body=body, progress=job.progress, overwrite=True)
-        self.keep(out, before)
+        self.keep(out, before, "the calibration")
         hear(*found)
         return f"{capture.name} gave {CALIBRATION}"
 
-    def keep(self, file: Path, before: bytes | None) -> None:
-        """Keep what a file held before, if it was there; `take_back` brings it back."""
-        kept = before_of(file)
+    def keep(self, file: Path, before: bytes | None, what: str) -> None:
+        """Keep what a file held before, if it was there; `take_back` brings it back.
+
+        Args:
+            what: what was changed, for people: "the world".
+        """
+        kept, self._changed[file] = before_of(file), what
         if before is None:
             kept.unlink(missing_ok=True)
         else:
             kept.write_bytes(before)
+
+    def changed(self, file: Path) -> str:
+        """What was changed last in a file."""
+        return self._changed.get(file, "the last change")
 
     def take_back(self, file: Path) -> str:
         """Exchange a file for what it held before; ConfigError if nothing is kept of it."""
@@ -407,7 +418,8 @@ class Bench:
         now = file.read_bytes()
         file.write_bytes(kept.read_bytes())
         kept.write_bytes(now)
-        return f"{file.name} is as it was before; once more takes this back"
+        what = self._changed.get(file, file.name)
+        return f"{what} is as it was before; once more takes this back"
 
     def stop(self) -> None:
         """End what goes on, as an interrupt would, and forget what waits."""

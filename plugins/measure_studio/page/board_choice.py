@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from nicegui import ui
@@ -12,7 +13,7 @@ from measure.errors import MeasureError
 from measure_studio import api as studio_api
 from measure_studio.page import drawings
 from measure_studio.page.bench import BOARD, Bench
-from measure_studio.page.layout import act, button, details, link, put, tried
+from measure_studio.page.layout import act, button, details, kept_so, link, put, tried
 
 _WHY = (
     "The ChArUco board is the fastest and the safest: parts of it count, so that corners of "
@@ -88,9 +89,27 @@ def _tile(bench: Bench, name: str, choose: Callable[[str], None]) -> None:
     tile.on("click", lambda: choose(name))
 
 
+def board_like(bench: Bench, seen: api.Board) -> str | None:
+    """The first board on offer with the pattern that is seen; None without one."""
+    for name in _names(bench):
+        with suppress(MeasureError):
+            file = api.shipped_targets().get(name) or bench.folder / name
+            if _pattern(api.read_board(file)) == _pattern(seen):
+                return name
+    return None
+
+
+def _pattern(board: api.Board) -> tuple[object, ...]:
+    """What pictures tell of a board: all but its size, and how many markers of a kind there are."""
+    if isinstance(board, api.Charuco):
+        kind = board.dictionary.rpartition("_")[0]
+        return board.inner_corners, kind, board.inverted, board.first_marker
+    return tuple(sorted(board.inner_corners)) if isinstance(board, api.Chessboard) else ()
+
+
 def _own(bench: Bench, choose: Callable[[str], None]) -> None:
     """A board of one's own: its kind, its squares and their size."""
-    with details("My board: another one than these"), ui.row().classes("line"):
+    with details("My board: another one than these") as own, ui.row().classes("line"):
         kind = ui.select({"charuco": "ChArUco", "chessboard": "chessboard"}, value="chessboard")
         kind.props('label="Kind"').classes("field")
         columns = ui.number("Squares along the long side", value=10, min=3, precision=0)
@@ -109,6 +128,17 @@ def _own(bench: Bench, choose: Callable[[str], None]) -> None:
                 choose(name)
 
         button("Use it", "done", take)
+
+    def ask() -> None:
+        """Of a board that was seen all is known but its size."""
+        if (seen := bench.seen_board) is not None:
+            bench.seen_board = None
+            kind.value = "charuco" if isinstance(seen, api.Charuco) else "chessboard"
+            columns.value, rows.value = (count + 1 for count in seen.inner_corners)
+            square.value = None
+            own.open()
+
+    kept_so(1.0, ask)
 
 
 def _names(bench: Bench) -> list[str]:

@@ -38,6 +38,15 @@ from measure_studio.page.layout import (
 _SEEN_BY = 2  # Cameras that must see a colour, where there are as many, before it is listed
 
 
+@dataclass(frozen=True)
+class _Written:
+    """What a file of a body was written by."""
+
+    found: api.FoundBody
+    names: dict[str, str]
+    left_out: set[str]
+
+
 @dataclass
 class _Making:
     """What is picked and measured; it outlives the browser's page, and what was picked the program.
@@ -47,6 +56,7 @@ class _Making:
         session: the recording in which the body was found.
         out: the file of the body that was found.
         is_changed: whether other colours are searched for than those of `found`.
+        written: what is in the file of the body, and `before` what was.
         seen: colours that several cameras see.
     """
 
@@ -58,6 +68,8 @@ class _Making:
     session: Path | None = None
     out: Path | None = None
     is_changed: bool = False
+    written: _Written | None = None
+    before: _Written | None = None
     seen: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -73,9 +85,15 @@ class _Making:
         self.look(like)
         return f"{self.colors.name(ball)} was learnt in {camera}"
 
-    def change(self, like: Path | None, how: Callable[[], object]) -> None:
-        """Change what is searched for, and look for it at once."""
-        how()
+    def leave_out(self, like: Path | None, color: str) -> None:
+        """Search for this colour no more."""
+        self.colors.leave_out(color)
+        self.look(like)
+
+    def add(self, like: Path | None, color: str) -> None:
+        """Search for a colour again, which is listed at once."""
+        self.colors.add(color)
+        self.seen.add(color)
         self.look(like)
 
     def look(self, like: Path | None, is_new: bool = True) -> None:
@@ -91,14 +109,23 @@ class _Making:
         """Call a ball so, in the file of the body that was found, too."""
         self.colors.call(color, name)
         if self.found is not None and self.out is not None and color in self.found.body.names:
-            before = self.out.read_bytes()
-            api.write_body(self.out, self.colors.named(self.found).body)
-            self.bench.keep(self.out, before)
+            self._write(self.out, self.found, "the name")
 
-    def forget(self, like: Path | None) -> None:
-        """The file is no longer of what was found last: its figures go."""
-        self.found = None
-        self.look(like)
+    def _write(self, out: Path, found: api.FoundBody, what: str) -> None:
+        """Write the body that was found, and keep what was written before."""
+        held = out.read_bytes() if out.is_file() else None
+        api.write_body(out, self.colors.named(found).body)
+        self.bench.keep(out, held, what)
+        names, left_out = dict(self.colors.names), set(self.colors.left_out)
+        self.before, self.written = self.written, _Written(found, names, left_out)
+
+    def return_to_before(self, like: Path | None) -> None:
+        """The file of the body holds what was written before: show that."""
+        self.before, self.written = self.written, self.before
+        if (shown := self.written) is not None:
+            self.found = shown.found
+            self.colors.names, self.colors.left_out = dict(shown.names), set(shown.left_out)
+        self.look(like, is_new=False)
 
     def measure(self, like: Path | None, calibration: Path | None) -> None:
         """Record the body while it is turned about, and locate its balls; it waits its turn."""
@@ -133,9 +160,7 @@ class _Making:
         job.title = f"looking for the balls in {session.name}"
         found = self.colors.find(session, bench.registry, radius_mm, like, job.progress)
         out = self.out or bench.folder / studio_api.next_free(bench.folder, "body", ".toml")
-        before = out.read_bytes() if out.is_file() else None
-        api.write_body(out, self.colors.named(found).body)
-        bench.keep(out, before)
+        self._write(out, found, "the body")
         self.found, self.session, self.out = found, session, out
         bench.body = out
         self.look(like, is_new=False)
@@ -150,7 +175,8 @@ class _Making:
         views = [
             [called.get(ball, ball) for ball in bench.preview.balls(name)] for name in bench.names
         ]
-        if bench.looks:  # Else what was seen before stays
+        # What was seen before stays until all were looked at anew.
+        if bench.looks and all(map(self._is_looked_at, bench.names)):
             self.seen = {
                 ball for some in views for ball in some if sum(ball in v for v in views) >= several
             }
@@ -160,6 +186,9 @@ class _Making:
             more = sorted(self.seen - states.keys() - colors.left_out)
             states |= dict.fromkeys(more, "seen")
         return [*states.items(), *((ball, "left out") for ball in sorted(colors.left_out))]
+
+    def _is_looked_at(self, camera: str) -> bool:
+        return self.bench.preview.has_looked(camera) or bool(self.bench.problem(camera))
 
     def figures(self) -> str:
         """What was found, with standard deviations."""
@@ -193,7 +222,7 @@ def add(bench: Bench) -> None:
                         "are found by their colours. Click a ball that is not outlined.",
                         drawings.body_in_hand(),
                     )
-                    told(making.figures, "figure digits", "data-body")
+                    told(making.figures, "figure", "data-body")
                     told(lambda: _judgement(making), "hint")
                     told(lambda: "\n".join(making.found.left_out if making.found else ()), "lines")
             with suppress(MeasureError):  # too few colours are left, which was told then
@@ -218,7 +247,7 @@ def _settings(bench: Bench, making: _Making) -> Callable[[], Path | None]:
             primary=True,
         )
         again = act("Search the recording again", "refresh", lambda: making.search_again(like()))
-        undo(bench, lambda: making.out, lambda: making.forget(like()))
+        undo(bench, lambda: making.out, lambda: making.return_to_before(like()))
         for label, value in (("Radius of the balls, mm", "radius_mm"), ("Seconds", "seconds")):
             ui.number(label, min=0.1).bind_value(making, value).classes("field")
     with details("More: names and colours of a body file, calibration"), ui.row().classes("line"):
@@ -242,11 +271,11 @@ def _chips(making: _Making, like: Callable[[], Path | None]) -> None:
 
     with ui.row().classes("chips").props("data-chips"):
         listed()
-    before = making.chips()
+    before: object = None
 
     def show() -> None:
         nonlocal before
-        if (now := making.chips()) != before:
+        if (now := (making.chips(), {**making.colors.names})) != before:
             before = now
             listed.refresh()
 
@@ -264,8 +293,8 @@ def _chip(
     out = state == "left out"
 
     async def swap() -> None:
-        how = making.colors.add if out else making.colors.leave_out
-        await tried(lambda: making.change(like(), partial(how, color)))
+        how = making.add if out else making.leave_out
+        await tried(lambda: how(like(), color))
         refresh()
 
     async def rename() -> None:

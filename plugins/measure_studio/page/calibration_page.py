@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
@@ -16,8 +16,9 @@ from measure.errors import ConfigError
 from measure_studio import api as studio_api
 from measure_studio.page import drawings, overlays
 from measure_studio.page.bench import CALIBRATION, Bench, Job
-from measure_studio.page.board_choice import choose_board
+from measure_studio.page.board_choice import board_like, choose_board
 from measure_studio.page.layout import (
+    Hint,
     act,
     camera_pictures,
     choice,
@@ -46,7 +47,6 @@ class _Wave:
     goal_mm: float = 0.2
     capture: Path | None = None
     state: api.WaveState | None = None
-    corners: Mapping[str, overlays.Floats] = field(default_factory=dict)  # In the newest pictures
     result: api.CalibrationResult | None = None
     report: Path | None = None
     is_waved: bool = False
@@ -93,14 +93,20 @@ class _Wave:
             job.stop.set()
 
     def take_other(self, body: Path | None) -> str:
-        """Take the board that is seen, in place of the chosen one, and wave on."""
+        """Take the board that is seen, in place of the chosen one, and wave on.
+
+        Where no board on offer is like it, nobody knows how large its squares are: that is asked.
+        """
         other = self.state.other if self.state is not None else None
         if other is None or other.board is None:
             raise ConfigError("no other board is seen any more")
-        self.bench.board = studio_api.write_board(self.bench.folder, other.board, "my-board").name
         self.bench.stop()
+        if (known := board_like(self.bench, other.board)) is None:
+            self.bench.seen_board = other.board
+            return Hint("My board holds its squares: type how long one is, then wave it")
+        self.bench.board = known
         self.take(body, waits=True)
-        return f"{self.bench.board} is the board that is seen"
+        return f"{known} is the board that is seen"
 
     def end(self) -> None:
         """Take what there is for enough."""
@@ -115,10 +121,9 @@ class _Wave:
         self.bench.calibrate(capture, self._hear, body)
 
     def _see(self, images: Sequence[api.Image], corners: Mapping[str, overlays.Floats]) -> None:
-        self.corners = corners
         for image in images:
             if image.camera in corners:
-                self.bench.preview.hold(image)
+                self.bench.preview.hold(image, corners[image.camera])
 
     def _hear(self, result: api.CalibrationResult, report: Path) -> None:
         self.result, self.report = result, report
@@ -161,15 +166,12 @@ class _Wave:
         return f"{name}: {_pictures(seen.views)}, {seen.tilts} of them tilted"
 
     def drawn_over(self, name: str) -> str:
-        """Where a camera has seen the board, and the corners that it sees now."""
+        """Where a camera has seen the board."""
         facts = self.bench.preview.facts(name)
         seen = self.state.cameras.get(name) if self.state is not None and self.is_waved else None
         if seen is None or facts is None:
             return ""
-        parts = [overlays.cells(facts.size_wh, seen.cells)]
-        if name in self.corners and self.bench.preview.held(name) is not None:
-            parts.append(overlays.corners(self.corners[name]))
-        return overlays.over(facts.size_wh, *parts)
+        return overlays.over(facts.size_wh, overlays.cells(facts.size_wh, seen.cells))
 
 
 def _empty_parts(state: api.WaveState) -> list[str]:

@@ -34,7 +34,9 @@ from measure_studio.page.words import plain
 _SHARP, _BLURRED, _CLIPPED, _DARK = 0.2, 0.12, 0.01, 0.2
 """Sharp from the first on; below, above and below the others blurred, overexposed and dark."""
 _NAMED = re.compile(r"[^/:?\\=]+=")
-_FACTS = ("state", "rate", "drops", "times", "sharpness", "exposure", "balls")
+_FACTS = (
+    "state", "rate", "drops", "times", "size", "sharpness", "exposure", "overexposed", "balls",
+)  # fmt: skip
 
 
 def add(bench: Bench) -> None:
@@ -217,10 +219,11 @@ def _judged(facts: studio_api.PictureFacts) -> dict[str, tuple[str, str]]:
     blurred, clipped = facts.sharpness < _BLURRED, facts.clipped_share > _CLIPPED
     size = f"{facts.size_wh[0]} x {facts.size_wh[1]} px"
     sharpness = "blurred" if blurred else "sharp" if facts.sharpness >= _SHARP else "soft"
-    sharp = f"{sharpness}, {facts.sharpness:.2f} per px, {size}"
-    told = f"brightest {100 * facts.level:.0f} %, overexposed {100 * facts.clipped_share:.1f} %"
-    word = ", too bright" if clipped else ", dark" if facts.level < _DARK else ""
+    sharp = f"{sharpness}, {facts.sharpness:.2f} per px"
+    dark = facts.level < _DARK
     return {
+        "size": (size, ""),
         "sharpness": (sharp, "good" if sharpness == "sharp" else "weak"),
-        "exposure": (told + word, "weak" if word else "good"),
+        "exposure": (f"brightest {100 * facts.level:.0f} %" + ", dark" * dark, "weak" * dark),
+        "overexposed": (f"{100 * facts.clipped_share:.1f} %", "weak" if clipped else "good"),
     }

@@ -236,7 +236,11 @@ def act(text: str, icon: str, work: Callable[[], str | None], primary: bool = Fa
 
 
 def undo(bench: Bench, file: Callable[[], Path | None], after: Callable[[], object] = str) -> None:
-    """A button that takes the last change of a file back, where the version before is kept."""
+    """A button that takes back what was changed last in a file, where the version before is kept.
+
+    Args:
+        after: called when it was.
+    """
 
     def take_back() -> str:
         if (there := file()) is None:
@@ -245,12 +249,13 @@ def undo(bench: Bench, file: Callable[[], Path | None], after: Callable[[], obje
         after()
         return said
 
-    made = act("Take the last change back", "undo", take_back)
+    made = act("Take back", "undo", take_back)
 
     def show() -> None:
         there = file()
         is_kept = there is not None and there.is_file() and before_of(there).is_file()
         made.set_visibility(is_kept and not bench.busy)
+        made.text = f"Take back {bench.changed(there)}" if there is not None else ""
 
     kept_so(1.0, show)
 

@@ -39,7 +39,7 @@ from measure_studio.page.layout import (
     tried,
 )
 from measure_studio.page.live_view import LiveView
-from measure_studio.page.words import plain
+from measure_studio.page.words import grouped, plain
 
 _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
 _OLD_S = 2.0  # After so long without a pose the last one is no longer shown as if it were live
@@ -62,6 +62,7 @@ class Ended:
     ok: int
     frame_sets: int
     seconds: float
+    before_s: float  # Recorded before the first pose; 0 where nothing is recorded
 
     @property
     def share(self) -> str:
@@ -83,8 +84,11 @@ class _Live:
     report: Path | None = None
     state: studio_api.LiveState | None = None
     goes_on: bool = False
+    step: str = ""  # What is done before the first pose
+    step_s: float = 0.0  # Since when
     heard_s: float = 0.0
     heard_at: datetime = datetime.min
+    before_s: float = 0.0  # From the first picture to the first pose
     ended: Ended | None = None
     findings: Sequence[Any] | None = None  # Of the check of the recording, the worst first
     compared: str = ""  # with the truth
@@ -123,6 +127,7 @@ class _Live:
             seconds=self.seconds,
             request=bench.request,
             on_image=bench.preview.add,
+            on_step=self._begin_step,
         )
 
         def work(job: Job) -> str:
@@ -151,7 +156,8 @@ class _Live:
                 ).summary
             if not run.exists():  # it was empty, and is deleted
                 return "stopped: nothing was measured"
-            self.ended = Ended(run.name, summary.ok, summary.frame_sets, time.monotonic() - begun_s)
+            took_s, before_s = time.monotonic() - begun_s, self.before_s if self.keep else 0.0
+            self.ended = Ended(run.name, summary.ok, summary.frame_sets, took_s, before_s)
             self.session, job.title = options.record, f"reporting {run.name}"
             self.report = lab.report(run)
             return f"{run.name}: {self.ended.share}"
@@ -173,7 +179,12 @@ class _Live:
     def _next(self, stem: str) -> Path:
         return self.bench.folder / studio_api.next_free(self.bench.folder, stem)
 
+    def _begin_step(self, step: str) -> None:
+        self.step, self.step_s = step, time.monotonic()
+
     def _hear(self, state: studio_api.LiveState) -> None:
+        if self.state is None and self.step == studio_api.LEARNING:
+            self.before_s = time.monotonic() - self.step_s
         self.state, self.heard_s, self.heard_at = state, time.monotonic(), datetime.now()
         if self.bench.job is not None:
             self.bench.job.lasts(self.seconds)
@@ -297,7 +308,7 @@ def _figures(live: _Live) -> None:
     def show() -> None:
         nothing.set_visibility(live.state is None)
         nothing.text = (
-            "The first pose comes in some seconds ..."
+            f"Before the first pose: {live.step}, {time.monotonic() - live.step_s:.0f} s"
             if live.goes_on
             else "Place the body before the cameras and press Measure: its pose comes here."
         )
@@ -311,7 +322,7 @@ def _figures(live: _Live) -> None:
         put(poses, "ended", not live.goes_on)
 
     kept_so(0.3, show)
-    told(lambda: _pace(live.state) if live.state and live.goes_on else "", "hint digits")
+    told(lambda: _pace(live.state) if live.state and live.goes_on else "", "hint")
 
 
 def _stopped(live: _Live) -> str:
@@ -320,10 +331,11 @@ def _stopped(live: _Live) -> str:
         return ""
     if (ended := live.ended) is None:
         return '<div class="ending"><span class="state">STOPPED</span></div>'
+    before = f"; {ended.before_s:.0f} s were recorded before the first pose" * (ended.before_s > 1)
     return (
         f'<div class="ending"><span class="state">STOPPED</span>'
         f'<div class="figure">{escape(ended.share)}</div>'
-        f'<div class="lines">{escape(ended.run)}, {ended.seconds:.0f} s</div></div>'
+        f'<div class="lines">{escape(ended.run)}, {ended.seconds:.0f} s{before}</div></div>'
     )
 
 
@@ -367,7 +379,8 @@ def pose_shown(name: str, measured: api.Measurement, age: str, goes_on: bool = T
     if age:
         age = f"was {word}; {age}" if goes_on else f"the last pose was {word}, {age}"
         word, kind = ("OLD", kind) if goes_on else ("STOPPED", kind)
-    doubts = [plain(doubt) for doubt in measured.doubts.split("; ") if doubt]
+    told = (plain(doubt) for doubt in measured.doubts.split("; ") if doubt)
+    doubts = grouped(told, [*measured.frames, *measured.copies])
     listed = "".join(f"<li>{escape(doubt)}</li>" for doubt in doubts)
     figures = f'<ul class="doubts">{listed}</ul>' if listed else ""
     if (pose := measured.pose) is not None:

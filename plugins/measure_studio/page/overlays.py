@@ -22,13 +22,6 @@ def over(size_wh: tuple[int, int], *parts: str) -> str:
     return f"{head}{inside}</svg>" * bool(inside)
 
 
-def corners(pixels: Floats) -> str:
-    """Corners (n, 2) that were found, each a small ring."""
-    return "".join(
-        f'<circle class="corner" cx="{u:.1f}" cy="{v:.1f}" r="4"/>' for u, v in pixels + 0.5
-    )
-
-
 def cells(size_wh: tuple[int, int], counts: Floats) -> str:
     """Parts of the picture (rows, columns): those with enough corners green, the empty framed."""
     rows, columns = counts.shape

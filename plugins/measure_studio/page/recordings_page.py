@@ -57,16 +57,18 @@ def add(bench: Bench) -> None:
     recordings = _Recordings(bench)
 
     @ui.page("/recordings")
-    async def page_of_recordings() -> None:
+    def page_of_recordings() -> None:
         with page(bench, "/recordings"):
-            there = ui.column().classes("recordings")
-            shown: list[studio_api.Recording] = []
+            with ui.column().classes("recordings") as there:
+                empty("Looking through the folder ...")
+            shown: object = None
 
         async def refresh() -> None:
+            nonlocal shown
             found = await tried(lambda: studio_api.recordings_in(bench.folder))
-            if found is None or (found == shown and shown):
+            if found is None or (now := [(one, one.report) for one in found]) == shown:
                 return
-            shown[:] = found
+            shown = now
             there.clear()
             with there:
                 if not found:
@@ -74,7 +76,6 @@ def add(bench: Bench) -> None:
                 for one in found:
                     _row(recordings, one, refresh)
 
-        await refresh()
         ui.timer(3.0, refresh)
 
 
@@ -96,8 +97,8 @@ def _row(recordings: _Recordings, one: studio_api.Recording, refresh: Callable[[
         with ui.element("div").classes("about"):
             ui.label(name).classes("text-h6 named")
             ui.label(f"{one.at:%d %b %Y, %H:%M}")
-            ui.label("" if one.seconds is None else f"{one.seconds:.0f} s").classes("digits")
-            ui.label(_share(one)).classes("digits")
+            ui.label("" if one.seconds is None else f"{one.seconds:.0f} s")
+            ui.label(_share(one))
         if one.problem:
             ui.label(plain(one.problem, bench.folder)).classes("weak")
         with ui.row().classes("line"):

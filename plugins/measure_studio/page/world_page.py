@@ -90,7 +90,7 @@ class _World:
         file = self.bench.folder / CALIBRATION
         before = file.read_bytes()
         api.write_calibration(file, moved)
-        self.bench.keep(file, before)
+        self.bench.keep(file, before, "the world")
 
     def by_body(self, body: Path | None) -> None:
         """Put the world where a body rests now: it is measured for some seconds."""

@@ -102,11 +102,14 @@ window.sharesOf = ({ target: image, clientX, clientY }) => {
   ];
 };
 
-// Space stops what goes on, or begins what the page is for.
+// Space stops what goes on, or begins what the page is for: on the button that began it, too.
 document.addEventListener("keydown", (event) => {
-  if (event.key !== " " || event.repeat || event.target.closest("input, textarea, select, button, a, summary")) return;
+  const typed = "input, textarea, select, button:not([data-begin]), a, summary";
+  if (event.key !== " " || event.repeat || event.target.closest(typed)) return;
   const shown = [...document.querySelectorAll(".foot .stop, [data-begin]")].filter((one) => one.offsetParent);
   const meant = shown.find((one) => one.matches(".stop")) ?? shown[0];
-  if (meant) event.preventDefault();
-  meant?.click();
-});
+  if (!meant) return;
+  event.preventDefault();
+  event.stopPropagation();
+  meant.click();
+}, true);

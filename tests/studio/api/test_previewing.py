@@ -87,6 +87,20 @@ def test_balls_are_drawn_into_the_picture_in_which_they_were_found(monkeypatch):
     assert preview.balls("cam0") == ("Mötör",)
 
 
+def test_corners_are_ringed_in_the_picture_in_which_they_were_found():
+    """Though it was shown before without them; beside a corner nothing changes."""
+    pixels = np.full((480, 640, 3), 60, np.uint8)
+    preview, image = Preview(), Image("cam0", 0, 0.0, lambda: pixels)
+    preview.add(image)
+    before, _ = preview.shown("cam0", 320)
+    preview.hold(image, np.array([[400.0, 200.0]]))
+    ringed, _ = preview.shown("cam0", 320)
+    plain, shown = (cv2.imdecode(np.frombuffer(j, np.uint8), 1)[..., 0] for j in (before, ringed))
+    assert np.ptp(plain) < 6
+    assert shown[96:105, 196:205].max() > 150
+    assert np.abs(shown[:80].astype(int) - plain[:80]).max() < 6
+
+
 def test_a_camera_that_is_not_there_holds_up_no_other():
     jpeg = cv2.imencode(".jpg", checked())[1].tobytes()
     preview = Preview()
