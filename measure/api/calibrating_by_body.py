@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.api.calibrating import CalibrationResult
+from measure.api.lenses import tagged_px
 from measure.api.measuring import search_frame_sets
 from measure.api.outputs import check_apart, output
 from measure.api.profiles import build_detectors, load_profile
@@ -25,11 +26,12 @@ from measure.calibration.by_body.adjustment import (
     shape_of,
 )
 from measure.calibration.by_body.lenses import link_by_focal_lengths, refuse_open, usual_lens
-from measure.calibration.by_body.linking import Instant, link
+from measure.calibration.by_body.linking import Instant, least_motion_mm, link
 from measure.calibration.refining.procedure import AdjustedRig, adjust_measured
 from measure.calibration.refining.recording import ball_places, recording_of
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
+from measure.estimation.focal_length import zoomed
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
@@ -40,12 +42,14 @@ from measure.session import (
     Session,
     clock_values,
     open_session,
+    picture_bytes,
+    picture_tags,
     read_intrinsics,
     write_calibration,
 )
-from measure.session.streams import Stream
+from measure.session.streams import ImageStream, Stream
 
-_SEARCHED = 100  # Instants at which whole pictures are searched, spread over the recording
+_SEARCHED = 60  # Instants at which whole pictures are searched, spread over the recording
 _MEASURED = 150  # Frame sets, about so many, that are measured while the cameras are rough
 _MOST_ROUNDS = 6
 _ROUGH = 4.0  # Times as well as from single pictures lenses are known from what is measured
@@ -138,7 +142,8 @@ def _cameras_of(
 
     def lens_of(name: str, stream: Stream) -> Intrinsics:
         if known is None:
-            return usual_lens(stream.size_wh)
+            usual, told = usual_lens(stream.size_wh), _tagged_px(stream)
+            return zoomed(usual, told / usual.focal_px) if told else usual
         if name not in known:
             raise CalibrationError(
                 f"camera '{name}' of {session} has no lens {source}; there is one of "
@@ -157,6 +162,14 @@ def _cameras_of(
         return Calibration(tuple(Camera(n, lens_of(n, s), world) for n, s in streams.items()))
 
     return calibration
+
+
+def _tagged_px(stream: Stream) -> float | None:
+    """The focal length by the tags of the first picture, if they state one."""
+    if not isinstance(stream, ImageStream) or not stream.files:
+        return None
+    focal_35mm = picture_tags(picture_bytes(stream.files[0])).focal_35mm
+    return None if focal_35mm is None else tagged_px(focal_35mm, stream.size_wh)
 
 
 class _Steps:
@@ -241,7 +254,7 @@ def _settled(
     """
     for number in range(_MOST_ROUNDS):
         measured = measure(cameras, step)
-        recording = recording_of(measured, body, doubtful_too=True)
+        recording = recording_of(measured, body, None, True, least_motion_mm(body))
         first = moved_to(first, cameras)
         if number == 1:
             first = freed_lenses(first, body, recording)
@@ -253,4 +266,4 @@ def _settled(
     if step > 1:
         measured = measure(cameras, 1)
     first = moved_to(first, cameras)
-    return adjust_measured(first, body, measured, None, loose_prior(first))
+    return adjust_measured(first, body, measured, None, loose_prior(first), least_motion_mm(body))

@@ -120,8 +120,8 @@ def camera_by_balls(
     width, height = camera.intrinsics.size_wh
     expected, log_sd, source = camera, _USUAL_LOG_SD, FocalFrom.USUAL
     if focal_35mm is not None:
-        tagged_px = focal_35mm / _FILM_DIAGONAL_MM * math.hypot(width, height)
-        expected, log_sd, source = _of_focal(camera, tagged_px), _TAG_LOG_SD, FocalFrom.TAGS
+        tagged = _of_focal(camera, tagged_px(focal_35mm, (width, height)))
+        expected, log_sd, source = tagged, _TAG_LOG_SD, FocalFrom.TAGS
     tried = [_of_focal(camera, share * max(width, height)) for share in _TRIED]
     outlines = _outlines(map(look, (expected, *tried)))
     found = focal_by_outlines(outlines, expected.intrinsics, log_sd)
@@ -131,6 +131,11 @@ def camera_by_balls(
     better = _of_focal(camera, found.px)
     again = focal_by_outlines(_outlines([look(better)]), expected.intrinsics, log_sd)
     return _of_focal(camera, again.px) if again else better, FocalFrom.BALLS
+
+
+def tagged_px(focal_35mm: float, size_wh: tuple[int, int]) -> float:
+    """The focal length in px that a picture's tags tell, in mm on film of 36 x 24 mm."""
+    return focal_35mm / _FILM_DIAGONAL_MM * math.hypot(*size_wh)
 
 
 def _of_focal(camera: model.Camera, focal_px: float) -> model.Camera:

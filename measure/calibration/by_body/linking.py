@@ -19,8 +19,8 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.calibration.board_views import stack
-from measure.calibration.by_body.single_view import View, body_poses, resections
-from measure.calibration.refining.recording import MIN_MOTION_MM, refuse_rest
+from measure.calibration.by_body.single_view import REACH, View, body_poses, resections
+from measure.calibration.refining.recording import refuse_rest
 from measure.errors import CalibrationError, DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
@@ -83,7 +83,7 @@ def link(lenses: Mapping[str, Intrinsics], body: Body, seen: Sequence[Instant]) 
     poses = {name: [_poses(one, name, body) for one in instants] for name in lenses}
     _check_seen(lenses, body, instants, poses)
     group = _first_pair(lenses, body, instants, poses)
-    refuse_rest(stack([some[0] for some in group.bodies if len(some) == 1]), MIN_MOTION_MM)
+    refuse_rest(stack([some[0] for some in group.bodies if len(some) == 1]), least_motion_mm(body))
     while waiting := [name for name in lenses if name not in group.placed]:
         places = group.places()
         tried = {name: _placed(name, places, body, instants) for name in waiting}
@@ -92,6 +92,11 @@ def link(lenses: Mapping[str, Intrinsics], body: Body, seen: Sequence[Instant]) 
             raise CalibrationError(_unlinked(name, [*group.placed], tried[name][1]))
         group = group.with_camera(name, tried[name][0])
     return group.rig()
+
+
+def least_motion_mm(body: Body) -> float:
+    """The least motion by which cameras are placed: starts cannot tell less of it from none."""
+    return REACH * float(body.radii.mean())
 
 
 def _poses(instant: _Seen, name: str, body: Body) -> list[RigidTransform]:

@@ -21,7 +21,7 @@ from measure.model import Body, Detection, Intrinsics
 
 _MOST_CANDIDATES = 3  # Of each ball in a picture, the surest
 _SIZE_RATIO = 1.3  # Outlines of half-hidden balls are off by up to so much
-_REACH = 0.5  # Distance, in radii, up to which a sighting agrees with a place
+REACH = 0.5  # Distance, in radii, up to which a sighting agrees with a place
 _SAME_RADII = 0.25  # Poses that put the balls nearer together than this are one
 _MOST_POSES, _RIVAL = 6, 0.75
 """Poses kept of a picture, and by how many sightings one may be less agreed on than the best."""
@@ -70,11 +70,12 @@ class View:
         for ball in np.unique(self.balls):
             own = self.balls == ball
             far = np.maximum(distances[..., ball, None], radii[ball])
-            cosine = places[..., ball, :] @ self.axes[own].T / far
-            off = np.arccos(np.clip(cosine, -1.0, 1.0)) / (_REACH * self.half_angles[own])
-            size = np.arcsin(radii[ball] / far) / self.half_angles[own]
-            alike = np.abs(np.log(size)) < np.log(_SIZE_RATIO)
-            out[..., ball] = np.max(np.where(alike, np.maximum(1 - off**2, 0.0), 0.0), axis=-1)
+            # The squared chord between two unit vectors: the squared angle, where that is small.
+            chord = 2 - 2 * (places[..., ball, :] @ self.axes[own].T) / far
+            seen = 1 - chord / (REACH * self.half_angles[own]) ** 2
+            size = radii[ball] / (far * np.sin(self.half_angles[own]))
+            alike = (size < _SIZE_RATIO) & (size > 1 / _SIZE_RATIO)
+            out[..., ball] = np.max(np.where(alike, np.maximum(seen, 0.0), 0.0), axis=-1)
         return out
 
     def agreeing(self, places: Floats, radii: Floats) -> list[Detection]:

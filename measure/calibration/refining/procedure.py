@@ -20,7 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.refining.recording import Recording, calibration_disagrees, recording_of
+from measure.calibration.refining.recording import (
+    MIN_MOTION_MM,
+    Recording,
+    calibration_disagrees,
+    recording_of,
+)
 from measure.calibration.refining.refine import Refinement, RefineSettings, misfits_px, refine_rig
 from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.errors import CalibrationError
@@ -287,13 +292,15 @@ def adjust_measured(
     measurements: Sequence[Measurement],
     settings: RefineSettings | None = None,
     joint_covariance: Floats | None = None,
+    least_motion_mm: float = MIN_MOTION_MM,
 ) -> AdjustedRig:
     """Adjust cameras and clocks to a measured session, whatever the first cameras are worth."""
-    recording = recording_of(measurements, body)
+    recording = recording_of(measurements, body, least_motion_mm=least_motion_mm)
     clocks, trusted = _clocks(cameras, body, measurements, recording, settings, joint_covariance)
     applied = trusted and any(clock.offset_visible or clock.rolling for clock in clocks)
     if applied:
-        recording = recording_of(measurements, body, _lead(clocks, cameras))
+        lead = _lead(clocks, cameras)
+        recording = recording_of(measurements, body, lead, least_motion_mm=least_motion_mm)
     halves = compare_halves(cameras, body, recording, settings, joint_covariance)
     refinement = refine_rig(
         cameras, body, recording, settings, joint_covariance, halves.variance_factor

@@ -92,7 +92,12 @@ def recording_of(
             f"{_why_few(measurements, len(kept))}"
         )
     _refuse_disagreeing(kept, doubtful_too)
-    kept = kept[:_MOST_FRAMES]
+    kept = [m for m in kept if _fixes_its_pose(m, doubtful_too)][:_MOST_FRAMES]
+    if len(kept) < FEWEST:
+        raise CalibrationError(
+            f"in {len(kept)} frame sets three balls are seen as they should be, and at least "
+            f"{FEWEST} are needed"
+        )
     poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
     refuse_rest(poses, least_motion_mm)
     return Recording(
@@ -147,6 +152,11 @@ def _why_few(measurements: Sequence[Measurement], kept: int) -> str:
         f"; camera {name} sees the balls elsewhere than the others in {apart[name]} of "
         f"{len(measurements)}: if it was moved, calibrate it again"
     )
+
+
+def _fixes_its_pose(measured: Measurement, doubtful_too: bool) -> bool:
+    """Whether three balls are seen: the turn about a line through two of them stays open."""
+    return len({v.ball for v in measured.views if _usable(v, doubtful_too)}) > 2
 
 
 def _usable(view: BallView, doubtful_too: bool) -> bool:

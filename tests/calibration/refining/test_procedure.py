@@ -37,6 +37,23 @@ def in_step():
     return list(recorded(moving))
 
 
+def test_frame_sets_in_which_two_balls_are_seen_play_no_part(in_step) -> None:
+    """Their poses have a turn that nothing fixes, and would leave the adjustment singular."""
+    hidden = RAVEN.names[0]
+
+    def without(measured):
+        views = tuple(
+            replace(v, state=State.SUSPENDED, reason=Reason.NOT_FOUND) if v.ball == hidden else v
+            for v in measured.views
+        )
+        return replace(measured, views=views)
+
+    kept = recording_of([without(m) if k < 5 else m for k, m in enumerate(in_step)], RAVEN)
+    whole = recording_of(in_step, RAVEN)
+    assert len(kept.times_s) == len(whole.times_s) - 5
+    assert kept.times_s[0] == whole.times_s[5]
+
+
 def test_clocks_that_are_off_are_found_and_applied(late) -> None:
     found = refine_measured(slipped(), RAVEN, late)
     assert found.clocks_applied
