@@ -243,9 +243,9 @@ WRITES: dict[str, Callable[[Place], Any]] = {
 }
 """What is written of a stranger's cameras, bodies and balls; some give it to who writes it."""
 NAMELESS = {
-    "ablate", "correct_simulated_robot", "delete_recording", "demo", "demo_cameras",
-    "estimate_file", "estimate_online", "new_folder", "output", "render_demo", "rezero",
-    "simulate_dataset", "simulate_recording", "sweep", "train", "write_board",
+    "ablate", "choose_poses", "correct_simulated_robot", "delete_recording", "demo", "demo_cameras",
+    "estimate_file", "estimate_online", "new_folder", "output", "recalibrate", "render_demo",
+    "rezero", "simulate_dataset", "simulate_recording", "sweep", "train", "write_board",
     "write_measured_board",
 }  # fmt: skip
 """What writes, but reads no camera, body or ball of a file."""

@@ -1,10 +1,13 @@
 """What a notebook calls to correct a robot, one function an action."""
 
 from measure_learning.api.correcting import (
+    POSES,
+    choose_poses,
     correct_simulated_robot,
     estimate_file,
     estimate_online,
     model_file,
+    recalibrate,
     rezero,
     robot_recording,
     shipped_model,
@@ -30,9 +33,9 @@ from measure_learning.api.training import (
 )
 
 __all__ = [
-    "RenderOptions", "RunFacts", "SimulationOptions", "SweepOptions", "TrainOptions", "ablate",
-    "check_other_file", "correct_simulated_robot", "estimate_file", "estimate_online",
-    "make_dataset", "model_file", "other_file", "parse_settings", "register", "rezero",
-    "robot_recording", "shipped_model",
+    "POSES", "RenderOptions", "RunFacts", "SimulationOptions", "SweepOptions", "TrainOptions",
+    "ablate", "check_other_file", "choose_poses", "correct_simulated_robot", "estimate_file",
+    "estimate_online", "make_dataset", "model_file", "other_file", "parse_settings", "recalibrate",
+    "register", "rezero", "robot_recording", "shipped_model",
     "simulate_dataset", "simulate_recording", "sweep", "train",
 ]  # fmt: skip

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from measure.api.outputs import check_file
 from measure.arrays import Floats, Ints
 from measure.errors import ConfigError, EstimatorError
 from measure.results import Run, read_run
+from measure.robots import StateSchema
 from measure.session import open_session
 from measure_learning import SHIPPED
 from measure_learning.api.pairing import read_tracks
@@ -20,6 +22,7 @@ from measure_learning.robots import find_schema
 
 if TYPE_CHECKING:
     from measure_learning.core import DriftMonitor, EstimateServer, EstimatorEvaluation, Zeroing
+    from measure_learning.core.recalibration import ChosenPoses
 
 
 def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:
@@ -27,6 +30,90 @@ def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:
     from measure_learning import core as learning
 
     return learning.rezero(OnnxModel.load(model_path), learning.files.read_dataset(stretch))
+
+
+POSES = 20
+"""Poses of a morning that are chosen if nothing else is said."""
+
+
+def choose_poses(model_path: Path, poses: Path, out: Path, count: int = POSES) -> ChosenPoses:
+    """Choose poses that the arm is to visit, and write them as a table.
+
+    Args:
+        poses: a log, a data set or a table of poses that the arm may visit.
+        out: `.csv`: the number of each pose, its row in `poses`, and the state there.
+    """
+    from measure_learning import core as learning
+    from measure_learning.core.recalibration import pose_columns
+
+    if out.suffix != ".csv":
+        raise EstimatorError(f"{out}: the name of a file of poses must end with .csv")
+    model = OnnxModel.load(model_path)
+    chosen = learning.choose_poses(model, poses, count)
+    columns = pose_columns(model.schema, chosen)
+    np.savetxt(
+        out,
+        np.column_stack(list(columns.values())),
+        ["%d", "%d", *["%.9g"] * len(model.schema.names)],
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
+    )
+    return chosen
+
+
+def recalibrate(
+    model_path: Path, poses: Path, measured: Path, out: Path, arm_files: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """Joint zeros and links of today, in files; gives the certificate.
+
+    Writes `out`, the model with today's offsets, and beside it, with its name, `.certificate.json`
+    and `.certificate.md`; where the chain is known `.urdf`, the robot with today's links and zeros;
+    each of `arm_files` (kinematic files of a dVRK) with the zeros added, by its name.
+
+    Args:
+        poses: where the arm works: a log, a data set or a table.
+        measured: a data set of the poses that were visited.
+    """
+    from measure_learning import core as learning
+    from measure_learning.core import recalibration
+    from measure_learning.robots.other_programs import dvrk_with_offsets
+    from measure_learning.robots.urdf import joint_names, urdf_text
+
+    if out.suffix != ".onnx":
+        raise EstimatorError(f"{out}: a model's file name must end with .onnx")
+    model = OnnxModel.load(model_path)
+    chain = model.schema.chain
+    if chain is None and arm_files:
+        raise EstimatorError(f"{model_path}: knows no joints of {model.robot}: no zeros are found")
+    found = recalibration.recalibrate(model, learning.files.read_dataset(measured))
+    facts = recalibration.certificate(found, recalibration.read_candidates(poses, model)[1])
+    out.write_bytes(recalibration.corrected_model(found, model_path.read_bytes()))
+    beside = out.with_suffix(".certificate.json")
+    beside.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    text = recalibration.certificate_text(facts)
+    beside.with_suffix(".md").write_text(text, encoding="utf-8")
+    if chain is None:
+        return facts
+    text = urdf_text(model.robot, joint_names(model.schema), found.zeroing.today)
+    out.with_suffix(".urdf").write_text(text, encoding="utf-8")
+    slides = [joint.prismatic for joint in chain.joints]
+    zeros = np.where(slides, 1e-3, 1.0) * found.zeroing.joints()[0]
+    named = named_by_logs(model.schema, zeros.tolist())
+    for path in arm_files:
+        file = out.with_suffix(f".{path.name}")
+        file.write_text(dvrk_with_offsets(path, named), encoding="utf-8")
+    return facts
+
+
+def named_by_logs(schema: StateSchema, values: Sequence[float]) -> dict[str, float]:
+    """Values of the joints under all names that logs give to them."""
+    own = [reading.terms[0][0] for reading in schema.joints]
+    out = dict(zip(own, values, strict=True))
+    for other in schema.log.names:
+        if list(other.features) == own:
+            out |= dict(zip(other.columns, values, strict=True))
+    return out
 
 
 def estimate_file(

@@ -7,6 +7,7 @@ from measure_learning.core.datagrams import AnswerPacket, StatePacket, TruePacke
 from measure_learning.core.guard import Counters, GuardedModel, Refusal
 from measure_learning.core.offline import correct_file, follower_of, read_states, rezero
 from measure_learning.core.offsets import DriftMonitor, OffsetFollower, Zeroing, fit_zeroing
+from measure_learning.core.recalibration import choose_poses
 from measure_learning.core.scores import (
     EstimatorEvaluation,
     Importance,
@@ -32,7 +33,7 @@ __all__ = [
     "EstimateClient", "EstimateServer", "EstimatorEvaluation", "GuardedModel", "Importance",
     "LabelKind", "OffsetFollower", "PoseTrack", "Refusal", "Score", "Split", "StatePacket",
     "SweepState", "Trained", "TrajectoryFacts", "TruePacket", "Zeroing", "ablate", "assemble",
-    "correct_file", "estimate_offset", "evaluate", "field_groups", "files", "fit_zeroing",
-    "follower_of", "join", "read_states", "rezero", "same_robot", "simulated_dataset",
-    "split_as_trained", "split_by_trajectory", "sweeping", "train",
+    "choose_poses", "correct_file", "estimate_offset", "evaluate", "field_groups", "files",
+    "fit_zeroing", "follower_of", "join", "read_states", "rezero", "same_robot",
+    "simulated_dataset", "split_as_trained", "split_by_trajectory", "sweeping", "train",
 ]  # fmt: skip

@@ -300,19 +300,17 @@ def follower_of(model: OnnxModel) -> offsets.OffsetFollower:
     return offsets.OffsetFollower(model.schema, model.facts.get("offset_sd_mm", 0.0))
 
 
-def _prior_sd_mm(model: OnnxModel) -> float:
-    """Size of each offset, of joints and base, so that all move the tip as in the training."""
-    size_mm = model.facts.get("offset_sd_mm")
-    if size_mm is None:
-        return offsets.PRIOR_SD_MM
-    count = 3 + (0 if model.schema.chain is None else model.schema.chain.size)
-    return float(np.clip(size_mm * np.sqrt(3.0 / count), *offsets.PRIOR_LIMITS_MM))
-
-
 def rezero(
-    model: OnnxModel, stretch: Dataset, monitor: offsets.DriftMonitor | None = None
+    model: OnnxModel,
+    stretch: Dataset,
+    monitor: offsets.DriftMonitor | None = None,
+    *,
+    or_none: bool = False,
 ) -> tuple[offsets.Zeroing, offsets.DriftMonitor]:
-    """The offsets after a restart, from a stretch measured then, and drift from its residuals."""
+    """The offsets after a restart, from a stretch measured then, and drift from its residuals.
+
+    EstimatorError: as `fit_zeroing`, which knows `or_none`.
+    """
     estimates = model.predict(stretch)
     used = stretch.usable
     residuals = (stretch.errors_mm - estimates.errors_mm)[used]
@@ -320,8 +318,9 @@ def rezero(
         stretch.schema,
         stretch.states[used],
         residuals,
-        prior_sd_mm=_prior_sd_mm(model),
+        offset_sd_mm=model.facts.get("offset_sd_mm", offsets.OFFSET_SD_MM),
         spread_sd=np.array(model.facts.get("joint_sd", [])),
+        or_none=or_none,
     )
     monitor = monitor or offsets.DriftMonitor()
     stated = offsets.without_restarts(

@@ -1,8 +1,9 @@
-"""Offsets of joint zeros and base: from a stretch measured after a restart, and followed later."""
+"""Offsets of zeros, links and base: from a stretch measured after a restart, and followed later."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,9 +12,10 @@ from measure.errors import EstimatorError
 from measure.host import Correction
 from measure.limits import FEWEST, HUBER_SIGMAS
 from measure.robots import SerialChain, StateSchema
+from measure_learning.robots.links import TURNS, link_jacobian, with_link_errors
 
-PRIOR_SD_MM = 0.5  # of the tip's offset by each joint's zero and by the base, where not learnt
-PRIOR_LIMITS_MM = 0.1, 2.0
+OFFSET_SD_MM = 0.9  # per axis, of the tip's mean offset after a restart, where not learnt
+_OFFSET_LIMITS_MM = 0.15, 3.5
 _MIN_INDEPENDENT = 12.0  # observations, as their autocorrelation counts them
 _CONVINCING = 0.15  # share of the squares left of parts by the others' zeros that is proof enough
 _APART = 0.6  # independent ones among them from which on poses are far apart in time
@@ -29,18 +31,21 @@ _MIN_SCALE_MM = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Zeroing:
-    """A correction of joint zeros and of the base, on top of a model's.
+    """A correction of joint zeros, links and base, on top of a model's.
 
     A constant offset of a joint is not constant at the tip: it depends on the pose. So where the
-    kinematics are known, the joints are corrected.
+    kinematics are known, the chain is corrected.
     """
 
-    shift_mm: Floats  # (3,) of the tip, the same everywhere
-    joints: Floats  # (k,) rad or mm, to add to the joint readings; empty without kinematics
+    # (6 k,) errors of the links, in which zeros and base are, as `with_link_errors` takes them;
+    # without kinematics (3,) mm of the tip, the same everywhere.
+    errors: Floats
+    spread: Floats  # covariance of these
     readings: Floats  # (features, k) from a state to the joints
     chain: SerialChain | None  # the robot's kinematics, if known
     mean_mm: Floats  # (3,) the offset of the tip, averaged over the stretch
     covariance: Floats  # (3, 3) mm^2 of the offset, averaged over the stretch
+    held_out_mm: Floats  # (n, 3) what the offsets of other parts leave of the stretch's residuals
 
     @property
     def sd_mm(self) -> float:
@@ -50,10 +55,25 @@ class Zeroing:
     def offset_mm(self, states: Floats) -> Floats:
         """Offset (..., 3) in mm to add to the corrections of states (..., features)."""
         if self.chain is None:
-            return np.broadcast_to(self.shift_mm, (*states.shape[:-1], 3))
+            return np.broadcast_to(self.errors, (*states.shape[:-1], 3))
         q = states @ self.readings
-        tips = self.chain.tip_mm(np.stack([q + self.joints, q], axis=-2))
-        return np.asarray(tips[..., 0, :] - tips[..., 1, :] + self.shift_mm)
+        return self.today.tip_mm(q) - self.chain.tip_mm(q)
+
+    @cached_property
+    def today(self) -> SerialChain:
+        """The chain with the links, zeros and base of today: its tip is off by `offset_mm`."""
+        assert self.chain is not None
+        return with_link_errors(self.chain, self.errors)
+
+    def joints(self) -> tuple[Floats, Floats]:
+        """What to add to the joints (k,), rad and mm, and its SDs: the links' parts along them."""
+        assert self.chain is not None
+        along = np.zeros((self.chain.size, len(self.errors)))
+        for k, joint in enumerate(self.chain.joints):
+            first = 6 * k + (0 if joint.prismatic else 3)
+            along[k, first : first + 3] = joint.axis
+        variances = np.einsum("kp,pq,kq->k", along, self.spread, along)
+        return along @ self.errors, np.sqrt(variances)
 
 
 def fit_zeroing(
@@ -61,17 +81,19 @@ def fit_zeroing(
     states: Floats,
     residuals_mm: Floats,
     *,
-    prior_sd_mm: float = PRIOR_SD_MM,
+    offset_sd_mm: float = OFFSET_SD_MM,
     spread_sd: Floats | None = None,
+    or_none: bool = False,
 ) -> Zeroing:
-    """The zeros that explain a stretch's residuals (n, 3), measured minus corrected position.
+    """The offsets that explain a stretch's residuals (n, 3), measured minus corrected position.
 
-    Bayesian linear regression with Huber's weights on the Jacobian's columns and three constants;
-    the prior has zero mean. Observations count as many as are independent, by their
-    autocorrelation, and half of that where they stand in a row. Poses at one place, by the SDs
-    in training if known, tell that place's error. EstimatorError: fewer than 10 measured states,
-    all at one place, zeros predict parts left out worse than none do, or not clearly better from
-    fewer than 12 independent ones.
+    Bayesian linear regression with Huber's weights on all errors of the links, among which zeros
+    and base are. Their prior has zero mean; each moves the tip alike, and together they move its
+    mean over the stretch as a restart does (`offset_sd_mm`, per axis). Observations count as many
+    as are independent, by their autocorrelation, and half of that where they stand in a row. Poses
+    at one place, by the SDs in training if known, tell that place's error. EstimatorError: fewer
+    than 10 measured states, all at one place, offsets predict parts left out worse than none do
+    (`or_none`: then there are none), or not clearly better from fewer than 12 independent ones.
     """
     floats("residuals_mm", residuals_mm, len(states), 3)
     if len(states) < FEWEST:
@@ -90,44 +112,55 @@ def fit_zeroing(
                 f"the joints of the {len(states)} measured states spread over {spread:.0%} of what "
                 f"they did in training, {needed:.0%} are needed: {_CURE}"
             )
-    design, lever = _design(schema, states)
-    left = _check_parts(design, residuals_mm, prior_sd_mm, share)
-    if independent < _MIN_INDEPENDENT and not apart and left > _CONVINCING:
+    design, scale = offset_design(schema, states, offset_sd_mm)
+    held_out = _left_of_parts(design, residuals_mm, share)
+    left, most = _left_share(residuals_mm, held_out)
+    needless = left >= most
+    if needless and not or_none:
+        rms = np.sqrt([(one**2).sum(axis=1).mean() for one in (held_out, residuals_mm)])
+        raise EstimatorError(
+            f"re-zeroing would do harm: of each tenth of the {len(states)} measured states the "
+            f"offsets of the others leave {rms[0]:.2f} mm RMS, none leave {rms[1]:.2f}: {_CURE}"
+        )
+    if not needless and independent < _MIN_INDEPENDENT and not apart and left > _CONVINCING:
         raise EstimatorError(
             f"the {len(states)} measured states tell as much of the zeros as {independent:.1f} "
             f"independent ones, their errors being alike, {_MIN_INDEPENDENT:g} are needed: {_CURE}"
         )
-    found, scatter = _regression(design, residuals_mm, prior_sd_mm, share)
+    found, scatter = _regression(design, residuals_mm, share)
+    if needless:
+        found, held_out = np.zeros_like(found), residuals_mm
     within = np.einsum("nij,jk,nlk->il", design, scatter, design) / len(design)
     return Zeroing(
-        shift_mm=found[-3:],
-        joints=found[:-3] / lever,
+        errors=scale * found,
+        spread=scale[:, None] * scatter * scale,
         readings=schema.reading_matrix(schema.joints),
         chain=schema.chain,
         mean_mm=(design @ found).mean(axis=0),
         covariance=within,
+        held_out_mm=held_out,
     )
 
 
-def _check_parts(design: Floats, residuals: Floats, prior_sd_mm: float, share: float) -> float:
-    """Refuse zeros that hold in one part only; the share of the squares left of parts left out."""
-    count, rows = len(residuals), np.arange(len(residuals))
-    before, after = 0.0, 0.0
+def _left_of_parts(design: Floats, residuals: Floats, share: float) -> Floats:
+    """What the offsets of all other parts leave of each, (n, 3)."""
+    rows, out = np.arange(len(residuals)), residuals.copy()
     for part in np.array_split(rows, _PARTS):
         others = np.setdiff1d(rows, part)
-        found, _ = _regression(design[others], residuals[others], prior_sd_mm, share)
-        without = np.linalg.norm(residuals[part], axis=1)
-        left = np.linalg.norm(residuals[part] - design[part] @ found, axis=1)
+        found, _ = _regression(design[others], residuals[others], share)
+        out[part] -= design[part] @ found
+    return out
+
+
+def _left_share(residuals: Floats, held_out: Floats) -> tuple[float, float]:
+    """Share of the squares that is left of parts left out, and what chance makes of no offsets."""
+    count, before, after = len(residuals), 0.0, 0.0
+    for part in np.array_split(np.arange(count), _PARTS):
+        without, left = (np.linalg.norm(one[part], axis=1) for one in (residuals, held_out))
         far = 3.0 * np.median(without)  # single false detections must not decide
         before += float(np.minimum(without, far) @ np.minimum(without, far))
         after += float(np.minimum(left, far) @ np.minimum(left, far))
-    if after >= before * (1.0 + _CHANCE / count):
-        rms = np.sqrt(np.array([after, before]) / count)
-        raise EstimatorError(
-            f"re-zeroing would do harm: of each tenth of the {count} measured states the offsets "
-            f"of the others leave {rms[0]:.2f} mm RMS, none leave {rms[1]:.2f}: {_CURE}"
-        )
-    return after / before
+    return after / max(before, 1e-12), 1.0 + _CHANCE / count
 
 
 def _independent(residuals: Floats) -> float:
@@ -145,14 +178,24 @@ def _independent(residuals: Floats) -> float:
     return count / total
 
 
-def _design(schema: StateSchema, states: Floats) -> tuple[Floats, Floats]:
-    """Columns (n, 3, k + 3) of unknowns in mm, and the tip's motion (k,) per unit of each joint."""
-    constants = np.tile(np.eye(3), (len(states), 1, 1))
-    if schema.chain is None:
-        return constants, np.zeros(0)
-    jacobian = schema.chain.jacobian(schema.joint_positions(states))[:, :3]
-    lever = _levers(schema.chain, np.sqrt((jacobian**2).sum(axis=1).mean(axis=0)))
-    return np.concatenate([jacobian / lever, constants], axis=2), lever
+def offset_design(
+    schema: StateSchema, states: Floats, offset_sd_mm: float
+) -> tuple[Floats, Floats]:
+    """Columns (n, 3, p) in mm of unknowns whose SD is 1, and what these are counted in (p,).
+
+    Each moves the tip alike, RMS over the states, and the mean over them is off by that SD per
+    axis.
+    """
+    columns, reach = np.tile(np.eye(3), (len(states), 1, 1)), np.ones(3)
+    if (chain := schema.chain) is not None:
+        columns = link_jacobian(chain, schema.joint_positions(states))[:, :3]
+        reach = np.sqrt((columns**2).sum(axis=1).mean(axis=0))
+        least = np.where(np.resize(TURNS, reach.shape), _LEAST_LEVER_MM, 0.0)
+        reach = np.maximum(reach, least)
+    size = float(np.clip(offset_sd_mm, *_OFFSET_LIMITS_MM))
+    means = float(((columns / reach).mean(axis=0) ** 2).sum())
+    scale = size * np.sqrt(3.0 / means) / reach
+    return columns * scale, scale
 
 
 def _levers(chain: SerialChain, motion: Floats) -> Floats:
@@ -161,11 +204,9 @@ def _levers(chain: SerialChain, motion: Floats) -> Floats:
     return np.where(slides, 1.0, np.maximum(motion, _LEAST_LEVER_MM))
 
 
-def _regression(
-    design: Floats, residuals: Floats, prior_sd_mm: float, share: float
-) -> tuple[Floats, Floats]:
+def _regression(design: Floats, residuals: Floats, share: float) -> tuple[Floats, Floats]:
     """Unknowns and their covariance; every observation counts as that share of one."""
-    prior = np.eye(design.shape[2]) / prior_sd_mm**2
+    prior = np.eye(design.shape[2])
     found: Floats = np.zeros(len(prior))
     covariance: Floats = np.zeros(prior.shape)
     for _ in range(5):

@@ -207,18 +207,24 @@ def _turns(left_out: Mapping[str, Any] | None) -> str:
     """A table of the recordings left out in turn; nothing where there is none."""
     if not (turns := (left_out or {}).get("by_recording")):
         return ""
-    lines = "\n".join(
-        f"| {turn['name']} | {turn['labels']} | {turn['before_mm']:.3f} | {turn['after_mm']:.3f} | "
-        f"{turn['stated_mm']:.3f} | {turn['inside_95']:.1%} |"
-        for turn in turns
-    )
+    lines = "\n".join(turns_table(turns))
     return (
         "Each recording by fits that have not seen it, and by the covariance that the others "
-        "left out give; errors and SD are RMS in 3-D, mm.\n\n"
-        "| recording | labels | as reported | corrected | stated SD | in the 95 % region |\n"
-        "|---|---:|---:|---:|---:|---:|\n"
-        f"{lines}\n\n"
+        f"left out give; errors and SD are RMS in 3-D, mm.\n\n{lines}\n\n"
     )
+
+
+def turns_table(turns: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Lines of a table of recordings that were left out in turn."""
+    return [
+        "| recording | labels | as reported | corrected | stated SD | in the 95 % region |",
+        "|---|---:|---:|---:|---:|---:|",
+        *(
+            f"| {turn['name']} | {turn['labels']} | {turn['before_mm']:.3f} | "
+            f"{turn['after_mm']:.3f} | {turn['stated_mm']:.3f} | {turn['inside_95']:.1%} |"
+            for turn in turns
+        ),
+    ]
 
 
 def promise(left_out: LeftOut | None) -> str:

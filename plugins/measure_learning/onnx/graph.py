@@ -44,14 +44,16 @@ class Graph:
     Operands are names of tensors, or arrays and numbers, which become float32 constants.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, prefix: str = "") -> None:
+        """The names of results begin with `prefix`, where a model has names already."""
         self._onnx = needed("onnx", "train", "writing a model", EstimatorError)
+        self._prefix = prefix
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
 
     def constant(self, value: ArrayLike, dtype: type = np.float32) -> Value:
         """A tensor that never changes."""
-        name = f"c{len(self._constants)}"
+        name = f"{self._prefix}c{len(self._constants)}"
         array: Any = np.ascontiguousarray(np.asarray(value), dtype=dtype)
         self._constants.append(self._onnx.numpy_helper.from_array(array, name))
         return name
@@ -71,7 +73,8 @@ class Graph:
         **attributes: Any,
     ) -> list[Value]:
         """One operator with several results."""
-        names = [f"t{len(self._nodes)}_{index}" for index in range(results)]
+        at = f"{self._prefix}t{len(self._nodes)}"
+        names = [f"{at}_{index}" for index in range(results)]
         inputs = [x if isinstance(x, str) else self.constant(x) for x in operands]
         self._nodes.append(
             self._onnx.helper.make_node(kind, inputs, names, domain=domain, **attributes)
@@ -141,3 +144,29 @@ class Graph:
         helper.set_model_props(model, {key: json.dumps(text) for key, text in metadata.items()})
         self._onnx.checker.check_model(model)
         return seal(model.SerializeToString())
+
+    def extend(
+        self, content: bytes, outputs: Mapping[str, Value], metadata: Mapping[str, Any]
+    ) -> bytes:
+        """A finished model that goes on with this graph, sealed anew; see `before`.
+
+        Args:
+            content: the model, as `build` made it.
+            outputs: names of outputs that it has, and the tensors that they are from now on.
+            metadata: entries that replace those of their names, stored as JSON texts.
+        """
+        helper, model = self._onnx.helper, self._onnx.load_model_from_string(content)
+        for node in model.graph.node:
+            node.output[:] = [self.before(n) if n in outputs else n for n in node.output]
+        ends = [helper.make_node("Identity", [value], [name]) for name, value in outputs.items()]
+        model.graph.node.extend([*self._nodes, *ends])
+        model.graph.initializer.extend(self._constants)
+        held = {entry.key: entry.value for entry in model.metadata_props if entry.key != "sha256"}
+        held |= {key: json.dumps(value) for key, value in metadata.items()}
+        helper.set_model_props(model, held)
+        self._onnx.checker.check_model(model)
+        return seal(model.SerializeToString())
+
+    def before(self, name: str) -> Value:
+        """An output that `extend` changes, as it was."""
+        return f"{self._prefix}before_{name}"

@@ -22,6 +22,7 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.reading import LARGEST, read_text
 from measure.robots.chain import Joint, SerialChain
+from measure_learning.robots.urdf import roll_pitch_yaw
 
 _UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 _UR_VALUES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -52,8 +53,7 @@ def ur_calibration_text(chain: SerialChain) -> str:
         raise EstimatorError("a calibration of UR ends at the flange: leave the tool out")
     links = {}
     for name, joint in zip(_UR_LINKS, chain.joints, strict=True):
-        turn = Rotation.from_matrix(joint.link[:3, :3]).as_euler("xyz")
-        values = np.concatenate([joint.link[:3, 3] / 1e3, turn]).tolist()
+        values = np.append(joint.link[:3, 3] / 1e3, roll_pitch_yaw(joint.link)).tolist()
         links[name] = dict(zip(_UR_VALUES, values, strict=True))
     return str(yaml.safe_dump({"kinematics": links}, sort_keys=False))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,7 +90,7 @@ def urdf_text(robot: str, names: Sequence[str], chain: SerialChain) -> str:
         element = ET.SubElement(root, "joint", name=(*names, "to_tip")[k], type=kind)
         ET.SubElement(element, "parent", link=links[k])
         ET.SubElement(element, "child", link=links[k + 1])
-        rpy = Rotation.from_matrix(matrix[:3, :3]).as_euler("xyz")
+        rpy = roll_pitch_yaw(matrix)
         ET.SubElement(element, "origin", xyz=_words(matrix[:3, 3] / 1e3), rpy=_words(rpy))
         if joint is not None:
             ET.SubElement(element, "axis", xyz=_words(joint.axis))
@@ -97,6 +98,13 @@ def urdf_text(robot: str, names: Sequence[str], chain: SerialChain) -> str:
             ET.SubElement(element, "limit", lower="-10", upper="10", effort="0", velocity="0")
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def roll_pitch_yaw(matrix: Floats) -> Floats:
+    """Angles (3,) in rad of a transform (4, 4); the last is 0 where the second is a right angle."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of scipy, that it chose that
+        return np.asarray(Rotation.from_matrix(matrix[:3, :3]).as_euler("xyz"))
 
 
 def _words(values: Floats) -> str:
