@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -237,12 +236,6 @@ class OnnxEstimator(Estimator):
         if self._model is None:
             raise EstimatorError(f"estimator '{self.name}' has not been fitted: call fit first")
         return self._model
-
-    def alone(self, data: Dataset) -> Floats:
-        """Corrections (n, 3) mm by what was learnt so far, without those of `first`."""
-        twin = copy.copy(self)
-        twin.first = None
-        return OnnxModel(twin._build({})).predict(data).errors_mm  # noqa: SLF001
 
     def reset(self) -> None:
         """Forget all history."""
