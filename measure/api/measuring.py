@@ -74,7 +74,9 @@ def keep_cameras(
         earlier: what was noticed before frame set `start`.
     """
     one = pipelines[0]
-    if keep != "off" and not why_not_kept(len(pipelines), len(one.cameras)):
+    # A detector that remembers pictures would take those looked at besides for more of them.
+    remembers = any(detector.stateful for detector in one.stages.detectors.values())
+    if keep != "off" and not remembers and not why_not_kept(len(pipelines), len(one.cameras)):
         follows = keep == "follow"
         one.keeper = CameraKeeper(one.body, one.cameras, follows, earlier, start)
 
