@@ -16,15 +16,12 @@ import resource
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks.command import run_command
 from measure_learning.api import shipped_model
-from measure_learning.core import files
 
 ABOUT = (
     "Trained on the simulated RAVEN-II of this package, not on a real robot: for demonstrations "
@@ -62,10 +59,8 @@ against the reported position. CPU minutes are those of training on one thread, 
 
 """
 NOTE = """
-*Random rows* is the same forest, tested by measured labels of rows picked at random, whose
-neighbours are in the training set: it says nothing about use. What becomes of these shares where
-the assumed constants are drawn, and under the protocol of the paper, stands
-[in one table](explanation/learning.md#drawn-arms).
+What becomes of these shares where the assumed constants are drawn, and under the protocol of the
+paper, stands [in one table](explanation/learning.md#drawn-arms).
 """
 
 
@@ -75,7 +70,6 @@ class Row:
 
     title: str
     options: str
-    random: bool = False  # judged by rows picked at random, which is wrong
 
     @property
     def file(self) -> str:
@@ -83,12 +77,9 @@ class Row:
         return re.sub("[^a-z0-9]+", "-", self.title) + ".onnx"
 
 
-FOREST = "--estimator forest --set trees=20 --folds 0"
 ROWS = (
     Row("offset", "--estimator offset --folds 0"),
     Row("gp", "--estimator gp --folds 0"),
-    Row("forest", FOREST),
-    Row("forest, random rows", FOREST, random=True),
     Row("ridge, pose", "--estimator ridge --set features=pose --folds 0"),
     Row("ridge, window of 6", "--estimator ridge --set features=window --set window=6 --folds 0"),
     Row("ridge, play", "--estimator ridge --folds 0"),
@@ -141,22 +132,11 @@ def _trained(row: Row, folder: Path) -> dict[str, Any]:
     path = folder / row.file
     card, spent = path.with_suffix(".card.json"), path.with_suffix(".cpu_s")
     if not card.exists():
-        data = _random_rows(folder) if row.random else "sim.parquet --test test.parquet"
-        words = ["train", *data.split(), "--out", row.file, *row.options.split()]
+        words = ["train", "sim.parquet", "--test", "test.parquet", "--out", row.file]
+        words += row.options.split()
         spent.write_text(f"{_measure([*words, '--resume', '--about', ABOUT], folder):.1f}\n")
     found: dict[str, Any] = json.loads(card.read_text())
     return found | {"cpu_s": float(spent.read_text()) if spent.exists() else float("nan")}
-
-
-def _random_rows(folder: Path) -> str:
-    """What not to do: every part keeps all rows, and may use some of them, picked at random."""
-    data = files.read_dataset(folder / "sim.parquet")
-    dice = np.random.default_rng(0).random(len(data))
-    for part, low, high in (("rows", 0.2, 1.0), ("tried", 0.1, 0.2), ("chosen", 0.0, 0.1)):
-        names = tuple(f"{name} ({part})" for name in data.names)
-        split = replace(data, usable=data.usable & (dice >= low) & (dice < high), names=names)
-        files.write_dataset(folder / f"{part}.parquet", split, [], "random rows")
-    return "rows.parquet --validation tried.parquet --test chosen.parquet"
 
 
 def _measure(words: list[str], folder: Path) -> float:

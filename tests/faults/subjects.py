@@ -24,7 +24,7 @@ from measure.session import read_calibration, write_calibration
 from measure.simulation import write_session
 from measure_learning.api import shipped_model
 from measure_learning.core import files, split_by_trajectory
-from measure_learning.estimators import _checkpoint
+from measure_learning.onnx import checkpoint
 from measure_learning.robots import raven_schema, write_log
 from measure_learning.robots.bags import DEFINITION, MESSAGE
 from measure_learning.robots.raven import FIELDS
@@ -331,8 +331,8 @@ def _write_checkpoint(folder: Path) -> None:
     estimator = Registry.discover().build(Estimator, "mlp", {"epochs": 3})
     estimator.checkpoint = folder / "net.checkpoint"
     split = split_by_trajectory(files.read_dataset(folder / "set.parquet"))
-    before, _checkpoint.EVERY_S = _checkpoint.EVERY_S, 0.0
+    before, checkpoint.EVERY_S = checkpoint.EVERY_S, 0.0
     try:
         estimator.learn(split.train, split.validation, seed=0, report=quiet)
     finally:
-        _checkpoint.EVERY_S = before
+        checkpoint.EVERY_S = before

@@ -129,9 +129,9 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
             raise Killed
 
     with pytest.MonkeyPatch.context() as patch:
-        from measure_learning.estimators import _checkpoint
+        from measure_learning.onnx import checkpoint
 
-        patch.setattr(_checkpoint, "EVERY_S", 0.0)
+        patch.setattr(checkpoint, "EVERY_S", 0.0)
         with pytest.raises(Killed):
             api.train([data], out, options, Registry.discover(), kill, settings)
         seen: list[float] = []

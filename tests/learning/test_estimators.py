@@ -29,7 +29,6 @@ CASES: list[tuple[str, dict[str, Any], float]] = [  # name, settings, RMS change
     ("ridge", {"features": "play", "play_widths": 4}, -0.6),
     ("mlp", {"layers": (40, 30), "epochs": 60, "batch": 64, "learning_rate": 5e-3}, -0.5),
     ("gp", {"points": 200, "tuning_points": 100}, -0.5),
-    ("forest", {"trees": 5}, -0.6),
     ("stream", SMALL_STREAM, -0.55),
 ]
 IDS = [f"{name}-{settings.get('features', '')}".strip("-") for name, settings, _ in CASES]

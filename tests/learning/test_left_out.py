@@ -48,12 +48,13 @@ def _recordings(names: list[str], seed: int, rows: int = 60) -> Dataset:
 
 
 def _fitted(data: Dataset, folds: int) -> Estimator:
-    """A forest, which remembers a place, stopped by a piece of every recording."""
+    """A process that remembers places, its kernel chosen by a piece of every recording."""
     halves = [[name for name in data.names if name.endswith(half)] for half in ("0", "1")]
-    forest = Registry.discover().build(Estimator, "forest", {"trees": 5})
-    forest.folds = folds
-    forest.fit(data.select(halves[0]), data.select(halves[1]), seed=0, report=quiet)
-    return forest
+    settings = {"points": 400, "tuning_points": 100}
+    process = Registry.discover().build(Estimator, "gp", settings)
+    process.folds = folds
+    process.fit(data.select(halves[0]), data.select(halves[1]), seed=0, report=quiet)
+    return process
 
 
 def test_the_covariance_is_that_of_new_recordings() -> None:

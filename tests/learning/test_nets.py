@@ -12,13 +12,14 @@ from measure.host import Dataset
 from measure.host.estimator import quiet
 from measure.robots import SerialChain
 from measure_learning.core import Split
-from measure_learning.estimators import _nets, _training, mlp
+from measure_learning.estimators import _nets, _training
 from measure_learning.estimators._play import PlayBank
 from measure_learning.estimators.stream import StreamEstimator, StreamSettings
 from measure_learning.onnx import Graph, OnnxModel
 from measure_learning.onnx.kinematics import TorchTip, tip_change
 from measure_learning.onnx.rotation import LEVER_MM, TurnChain, turn_errors
 from measure_learning.robots import find_schema
+from measure_paper import mlp
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 

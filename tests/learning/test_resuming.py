@@ -14,8 +14,8 @@ from measure.cli import main
 from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure_learning.core import split_by_trajectory
-from measure_learning.estimators._checkpoint import Checkpoint
 from measure_learning.estimators._nets import Grus, Perceptrons
+from measure_learning.onnx import Checkpoint
 
 
 def test_a_fit_is_not_resumed_with_other_data(small: Dataset, tmp_path: Path) -> None:

@@ -29,7 +29,6 @@ KITS = {
 
 QUICK = {
     "zenoh": {"connect": "tcp/127.0.0.1:9"},  # not the network
-    "forest": {"trees": 5},
     "gp": {"points": 200, "tuning_points": 100},
     "mlp": {"layers": (40, 30), "epochs": 60, "batch": 64, "learning_rate": 5e-3},
     "stream": {

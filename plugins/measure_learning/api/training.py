@@ -23,8 +23,8 @@ class TrainOptions:
     """What is trained, and by which labels it is judged.
 
     Attributes:
-        estimator: a plugin: stream (default), mlp (the paper's), ridge, gp, forest, offset,
-            kinematic; or "stream after kinematic", which learns what the latter leaves.
+        estimator: a plugin: stream (default), mlp (the paper's), ridge, gp, offset, kinematic;
+            or "stream after kinematic", which learns what the latter leaves.
         seed: of everything random in training.
         resume: go on with an interrupted training.
         overwrite: Replace what is there.

@@ -12,7 +12,6 @@ from measure import host
 from measure.arrays import Floats
 from measure_learning import onnx
 from measure_learning.estimators import _nets
-from measure_learning.estimators._checkpoint import Checkpoint
 from measure_learning.estimators._inputs import WithinTrajectoryEstimator, informative_features
 from measure_learning.estimators._play import PlayBank
 from measure_learning.estimators._training import (
@@ -160,7 +159,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
     def _resumed(self, kind: type[N], name: str, seed: int, fit: Callable[[], N]) -> N:
         """A net from an interrupted fit of the same data and settings, or freshly trained."""
         key = seed, self.config.model_dump(mode="json"), self._digests
-        saved = Checkpoint(self.checkpoint, name, key)
+        saved = onnx.Checkpoint(self.checkpoint, name, key)
         net = saved.load(lambda state: kind.from_values(state["net"]))
         if net is None:
             net = fit()

@@ -9,10 +9,8 @@ from pydantic import field_validator
 
 from measure import host
 from measure.arrays import Floats
+from measure.errors import EstimatorError
 from measure_learning import onnx
-from measure_learning.estimators._checkpoint import Checkpoint
-from measure_learning.estimators._nets import array_of
-from measure_learning.estimators._training import torch_or_explain
 
 
 class MlpSettings(host.Settings):
@@ -56,13 +54,14 @@ class MlpEstimator(onnx.OnnxEstimator):
         self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
     ) -> None:
         """Train with early stopping; the best epoch on the validation trajectories is kept."""
-        torch = torch_or_explain()
+        torch = host.needed("torch", "train", "training", EstimatorError)
+        torch.set_num_threads(1)
         c = self.config
         self._scaling = onnx.Scaling.of(data.states)
         other = _tensors(torch, validation, self._scaling)
         fit = _MlpTraining(torch, _tensors(torch, data, self._scaling), c, seed)
         key = seed, c.model_dump(mode="json"), data.digest(), validation.digest()
-        saved = Checkpoint(self.checkpoint, "mlp", key)
+        saved = onnx.Checkpoint(self.checkpoint, "mlp", key)
         saved.load(fit.restore)
         for epoch in range(len(fit.curve), c.epochs):
             score = fit.epoch(epoch, other)
@@ -189,14 +188,18 @@ def _fold(net: Any) -> list[tuple[Floats, Floats]]:
     for part in net:
         kind = type(part).__name__
         if kind == "Linear":
-            weight, bias = array_of(part.weight).T, array_of(part.bias)
+            weight, bias = _numbers(part.weight).T, _numbers(part.bias)
             if scale is not None:
                 weight, bias = weight * scale[:, None], bias + shift @ weight
             layers.append((weight, bias))
         elif kind == "BatchNorm1d":
-            scale = array_of(part.weight) / np.sqrt(array_of(part.running_var) + part.eps)
-            shift = array_of(part.bias) - scale * array_of(part.running_mean)
+            scale = _numbers(part.weight) / np.sqrt(_numbers(part.running_var) + part.eps)
+            shift = _numbers(part.bias) - scale * _numbers(part.running_mean)
     return layers
+
+
+def _numbers(tensor: Any) -> Floats:
+    return np.asarray(tensor.detach().numpy(), dtype=np.float64)
 
 
 @host.hookimpl
