@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TypeAlias
 
 import numpy as np
 
@@ -22,10 +22,12 @@ from measure.arrays import Floats, Ints
 from measure.errors import EstimatorError
 from measure.host import Dataset, Estimator, Registry
 from measure.host.estimator import quiet
-from measure_learning.core import choose_poses, files, rezero
+from measure_learning.core import choose_poses, files, fit_zeroing
 from measure_learning.onnx import OnnxModel
 
 COUNT, DRAWS = 20, 5
+Morning: TypeAlias = tuple[OnnxModel, Dataset, Floats]
+"""A recording, a model that has not seen it, and what that leaves of its labels (n, 3)."""
 IN_A_ROW, FIRST = 62, (0, 200, 400)
 
 
@@ -38,14 +40,15 @@ def main() -> None:
     parser.add_argument("--folds", type=int, default=4)
     given = parser.parse_args()
     data, validation = files.read_dataset(given.data), files.read_dataset(given.validation)
-    models = [
-        (_fitted(given.estimator, data, validation, held), held)
+    mornings = [
+        (model, day, _left(model, day))
         for held in data.recording_groups(given.folds, 10)
+        for model in [_fitted(given.estimator, data, validation, held)]
+        for day in [data.select([name]) for name in held]
     ]
-    mornings = [(model, data.select([name])) for model, held in models for name in held]
     _tell(mornings)
     print(f"{'recording':16} labels  as it is  {COUNT} chosen  {COUNT} spread  {IN_A_ROW} in a row")
-    lines = [_line(model, day) for model, day in mornings]
+    lines = list(map(_line, mornings))
     weights = np.array([count for count, _ in lines], dtype=np.float64)
     squares = np.array([sizes for _, sizes in lines]) ** 2
     for what, share in (("by recording", np.ones(len(lines))), ("by label", weights)):
@@ -61,12 +64,12 @@ def _fitted(name: str, data: Dataset, validation: Dataset, held: Sequence[str]) 
     return estimator.model  # type: ignore[attr-defined,no-any-return]
 
 
-def _tell(mornings: Sequence[tuple[OnnxModel, Dataset]]) -> None:
+def _tell(mornings: Sequence[Morning]) -> None:
     """Each model what is left of the recordings left out, as `measure train` does."""
-    left = [_left(model, day) for model, day in mornings]
-    offsets = np.array([one.mean(axis=0) for one in left])
-    after = float(np.sqrt((np.concatenate(left) ** 2).sum(axis=1).mean()))
-    for model, _ in mornings:
+    offsets = np.array([left.mean(axis=0) for _, _, left in mornings])
+    every = np.concatenate([left for _, _, left in mornings])
+    after = float(np.sqrt((every**2).sum(axis=1).mean()))
+    for model, _, _ in mornings:
         model.facts["offset_sd_mm"] = float(np.sqrt((offsets**2).mean()))
         model.card = {"left_out": {"after_mm": after}}
 
@@ -75,8 +78,9 @@ def _left(model: OnnxModel, day: Dataset) -> Floats:
     return (day.errors_mm - model.predict(day).errors_mm)[day.usable]
 
 
-def _line(model: OnnxModel, day: Dataset) -> tuple[int, list[float]]:
-    labels, left = np.flatnonzero(day.usable), _left(model, day)
+def _line(morning: Morning) -> tuple[int, list[float]]:
+    model, day, left = morning
+    labels = np.flatnonzero(day.usable)
     count = len(labels)
     with TemporaryDirectory() as folder:
         files.write_dataset(Path(folder, "day.parquet"), day, [], "a recording")
@@ -90,23 +94,28 @@ def _line(model: OnnxModel, day: Dataset) -> tuple[int, list[float]]:
     rows = [np.arange(first, first + IN_A_ROW) for first in FIRST if first + 2 * IN_A_ROW < count]
     sizes = [float(np.sqrt((left**2).sum(axis=1).mean()))]
     for sets in ([near], spread, rows):
-        squares = [_after(model, day, labels, left, one) for one in sets]
+        squares = [_after(model, day.states[labels], left, one) for one in sets]
         sizes.append(float(np.sqrt(np.mean(squares))))
     name = day.present()[0]
     print(f"{name[-16:]:16} {count:6d}  " + "  ".join(f"{size:9.3f}" for size in sizes), flush=True)
     return count, sizes
 
 
-def _after(model: OnnxModel, day: Dataset, labels: Ints, left: Floats, picked: Ints) -> float:
+def _after(model: OnnxModel, states: Floats, left: Floats, picked: Ints) -> float:
     """Mean square of all other labels."""
-    usable = np.zeros(len(day), dtype=bool)
-    usable[labels[picked]] = True
-    others = np.setdiff1d(np.arange(len(labels)), picked)
+    others = np.setdiff1d(np.arange(len(left)), picked)
     try:
-        zeroing, _ = rezero(model, replace(day, usable=usable), or_none=True)
+        zeroing = fit_zeroing(
+            model.schema,
+            states[picked],
+            left[picked],
+            offset_sd_mm=model.facts["offset_sd_mm"],
+            spread_sd=np.array(model.facts["joint_sd"]),
+            or_none=True,
+        )
     except EstimatorError:
         return float((left[others] ** 2).sum(axis=1).mean())
-    rest = left[others] - zeroing.offset_mm(day.states[labels[others]])
+    rest = left[others] - zeroing.offset_mm(states[others])
     return float((rest**2).sum(axis=1).mean())
 
 
