@@ -33,6 +33,7 @@ _BETTER = 0.95
 _AS_GOOD = 1.1  # Times the mean square that the best leaves, up to which a rival explains as much
 _SETTLED = 0.3  # Standard deviations, below which a second estimate changes nothing
 _LOST = 0.02  # Share of frame sets that may lose their pose by a mend that lets the rest fit better
+_AS_MENDED = "measure again what was changed, when you can"
 _OF_A_CAMERA = (Word.MOVED, Word.MOVED_AT, Word.ZOOM, Word.POINT)
 _SCALES = (Word.SCALE, Word.SQUARE, Word.PLACE, Word.RADIUS)
 
@@ -280,9 +281,10 @@ def _rivals(look: Look, cause: Cause) -> list[tuple[Cause, Sequence[Hypothesis]]
     for fit in found.rivals:
         last = fit.hypotheses[-1]
         since_s = None if last.since is None else float(look.evidence.times_s[last.since])
+        named = f"{cause.cause} of {cause.of}"
         rival = Cause(
-            last.word, last.of or ALL, "", "", cause.level,
-            unit="%" if last.drifts else "", since_s=since_s,
+            last.word, last.of or ALL, in_words(last.word, last.of or ALL), _AS_MENDED, cause.level,
+            unit="%" if last.drifts else "", rivals=(named,), since_s=since_s,
         )  # fmt: skip
         out.append((rival, fit.hypotheses))
     return [one for one in out if one[0].cause in MENDS][: 1 + _MOST_RIVALS]
