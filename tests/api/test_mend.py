@@ -21,8 +21,9 @@ from measure.api.check import Look, Looking
 from measure.checking import Level, SearchSample, search_sample, with_velocities
 from measure.checking.arrangement import arrangement_causes
 from measure.checking.body import BodyCheck
-from measure.checking.causes import Cause, Word
+from measure.checking.causes import BY_HAND, Cause, Word
 from measure.checking.diagnosis import Diagnosis, diagnose
+from measure.checking.mending import MENDS
 from measure.checking.motion import MotionCheck
 from measure.checking.pictures import gaps_alone
 from measure.checking.sightings import evidence_of
@@ -353,6 +354,10 @@ def test_a_mend_that_helps_nothing_is_refused(recorded, tmp_path, capsys, monkey
     )
     said = refused(recorded, tmp_path / "out", capsys)
     assert "cam1 is late: mending this makes the recording fit no better" in said
+
+
+def test_every_cause_is_mended_or_left_to_a_person() -> None:
+    assert {*MENDS} ^ {*BY_HAND} == {*Word}
 
 
 def test_the_words_are_five_lines(recorded, tmp_path, capsys) -> None:
