@@ -46,8 +46,10 @@ ALL = "all"
 """What a cause concerns that concerns all cameras or balls."""
 BY_HAND = (
     Word.SAME_PICTURES, Word.REPEATED, Word.EXPOSURE, Word.INTERLACED, Word.BLURRED, Word.UNKNOWN,
+    Word.DRIFT,
 )  # fmt: skip
-"""What is wrong with pictures themselves, and no other calibration, body or stamps mend."""
+"""What is wrong with pictures themselves, or changes all the time: no other calibration, body or
+stamps mend it."""
 TOPICS = {
     Word.CLOCK: "clock",
     Word.CLOCK_STEP: "clock",
