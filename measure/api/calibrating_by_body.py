@@ -29,6 +29,7 @@ from measure.calibration.by_body.lenses import link_by_focal_lengths, refuse_ope
 from measure.calibration.by_body.linking import Instant, least_motion_mm, link
 from measure.calibration.refining.procedure import AdjustedRig, adjust_measured
 from measure.calibration.refining.recording import ball_places, recording_of
+from measure.calibration.starts import mm_per_px
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.estimation.focal_length import zoomed
@@ -99,7 +100,13 @@ def calibrate_by_body(
             around=ball_places(rig.recording.world_from_body, opened.body.centers),
             joint=shape.joint,
         )
-        verdict = replace(judge(located, opened.body), held_out_px=rig.halves.held_out_px[1])
+        held_out_px = rig.halves.held_out_px[1]
+        worth = np.mean([mm_per_px(camera, located.around) for camera in shape.cameras])
+        verdict = replace(
+            judge(located, opened.body),
+            held_out_px=held_out_px,
+            held_out_mm=held_out_px * float(worth),
+        )
         values = provenance(located, verdict, opened.name) | clocks
         values |= {
             "body": opened.body.name,
@@ -130,7 +137,8 @@ def calibrate_by_body_to(
     with output(out, overwrite) as file, output(page, overwrite) as written:
         result = calibrate_by_body(session, body, registry, lenses, progress=progress)
         write_calibration(file, result.calibration, file_format)
-        made = calibration_report(str(session), result.rig, result.verdict)
+        name = str(result.calibration.provenance["capture"])
+        made = calibration_report(name, result.rig, result.verdict)
         written.write_text(made, encoding="utf-8")
     return result, page
 

@@ -43,7 +43,8 @@ class Verdict:
     # the calibration alone.
     position_sd_mm: Floats
     rotation_sd_deg: Floats  # (27,) the same for its rotation
-    held_out_px: float  # RMS of marks kept out of the fit; NaN if there are none
+    # RMS of marks kept out of the fit, median of a waved body's sightings; NaN if there are none.
+    held_out_px: float
     held_out_mm: float  # the same at the markers
     # size of the marker field as the boards see it, over its stated size; NaN unless both are
     # there.
@@ -188,7 +189,8 @@ def judgement_lines(rig: RigCalibration, verdict: Verdict) -> list[str]:
         lines.append(f"worst board views of {name}: {worst}")
     if np.isfinite(verdict.held_out_px):
         px, mm = verdict.held_out_px, verdict.held_out_mm
-        lines.append(f"marks kept out of the fit are missed by {px:.2f} px ({mm:.3f} mm) RMS")
+        what, mean = ("marks", "RMS") if rig.observations.marks else ("frame sets", "(median)")
+        lines.append(f"{what} kept out of the fit are missed by {px:.2f} px ({mm:.3f} mm) {mean}")
     if rig.disagreement_mm:
         apart = ", ".join(f"{name} {mm:.2f} mm" for name, mm in rig.disagreement_mm.items())
         lines.append(f"board and markers disagree by: {apart}")

@@ -24,8 +24,10 @@ def calibration_report(name: str, rig: RigCalibration, verdict: Verdict) -> str:
         columns = ("", "camera", "what, and what to do")
         rows = [(f.level.value, f.camera or "all", f.text) for f in verdict.findings]
         page.table("Findings", "", columns, rows)
-    words = "The cameras as they come out. Apart: how far board and markers disagree."
-    places.add_cameras(page, words, rig.cameras, rig.disagreement_mm)
+    words = "The cameras as they come out."
+    if rig.disagreement_mm:
+        words += " Apart: how far board and markers disagree."
+    places.add_cameras(page, words, rig.cameras, rig.disagreement_mm or None)
     _add_workspace(page, rig, verdict)
     _add_marks(page, rig)
     _add_lenses(page, rig, verdict)
@@ -57,7 +59,9 @@ def _facts(rig: RigCalibration, verdict: Verdict) -> list[tuple[str, str]]:
     ]  # fmt: skip
     if np.isfinite(verdict.held_out_px):
         held_out = f"{verdict.held_out_px:.2f} px, {verdict.held_out_mm:.3f} mm"
-        facts.append(("markers kept out of the fit, RMS", held_out))
+        marked = bool(rig.observations.marks)
+        what = "markers kept out of the fit, RMS" if marked else "frame sets kept out, median"
+        facts.append((what, held_out))
     if np.isfinite(verdict.scale):
         facts.append(("size of the marker field by the boards", f"{verdict.scale:.5f}"))
     return facts
