@@ -61,7 +61,7 @@ def _fitted(name: str, data: Dataset, validation: Dataset, held: Sequence[str]) 
     estimator.folds = 0
     rest = data.select([name for name in data.present() if name not in held])
     estimator.fit(rest, validation, seed=0, report=quiet)
-    return estimator.model  # type: ignore[attr-defined,no-any-return]
+    return estimator.model  # type: ignore[attr-defined]
 
 
 def _tell(mornings: Sequence[Morning]) -> None:

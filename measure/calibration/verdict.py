@@ -189,8 +189,8 @@ def judgement_lines(rig: RigCalibration, verdict: Verdict) -> list[str]:
         lines.append(f"worst board views of {name}: {worst}")
     if np.isfinite(verdict.held_out_px):
         px, mm = verdict.held_out_px, verdict.held_out_mm
-        what, mean = ("marks", "RMS") if rig.observations.marks else ("frame sets", "(median)")
-        lines.append(f"{what} kept out of the fit are missed by {px:.2f} px ({mm:.3f} mm) {mean}")
+        what, kind = ("marks", "RMS") if rig.observations.marks else ("frame sets", "(median)")
+        lines.append(f"{what} kept out of the fit are missed by {px:.2f} px ({mm:.3f} mm) {kind}")
     if rig.disagreement_mm:
         apart = ", ".join(f"{name} {mm:.2f} mm" for name, mm in rig.disagreement_mm.items())
         lines.append(f"board and markers disagree by: {apart}")
