@@ -64,16 +64,10 @@ def changes_of(values: Mapping[str, Any]) -> tuple[CameraChange, ...]:
     return tuple(out)
 
 
-def as_calibrated(detections: pa.Table, changes: Sequence[CameraChange]) -> pa.Table:
-    """The detections of cameras while they stood where the calibration says."""
-    first: dict[str, float] = {}
-    for change in changes:
-        first.setdefault(change.camera, change.since_s)
-    for camera, since_s in first.items():
-        later = pc.greater_equal(detections["time_s"], since_s)
-        gone = pc.and_(pc.equal(detections["camera"], camera), pc.fill_null(later, False))
-        detections = detections.filter(pc.invert(gone))
-    return detections
+def of_unmoved(detections: pa.Table, changes: Sequence[CameraChange]) -> pa.Table:
+    """The detections of cameras that stood where the calibration says throughout."""
+    moved = pa.array({change.camera for change in changes}, pa.string())
+    return detections.filter(pc.invert(pc.is_in(detections["camera"], value_set=moved)))
 
 
 class CameraMove(NamedTuple):

@@ -23,10 +23,10 @@ from measure.results.journal import is_missing, read_table
 from measure.results.provenance import read_provenance
 from measure.results.rig_changes import (
     CameraMove,
-    as_calibrated,
     camera_moves,
     changes_of,
     moved_findings,
+    of_unmoved,
 )
 from measure.results.stored import read_tables, rows_of_body
 from measure.results.summary import Summary, summarise
@@ -62,7 +62,7 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        seen = as_calibrated(self.detections, self.camera_changes)
+        seen = of_unmoved(self.detections, self.camera_changes)
         about = rig_findings(self.body, self.cameras, self.distances, seen, self.poses, notes)
         follows = self.provenance.get("calibration", {}).get("keep") != "warn"
         if moves := self.camera_moves:
