@@ -13,11 +13,10 @@ import numpy as np
 
 from measure.api.profiles import build_pipeline
 from measure.api.warming_up import warm_pipeline
-from measure.calibration.keeping import HOLDING, CameraKeeper
 from measure.host import Detector, Registry
 from measure.measuring import Measurement, Pipeline, Profile, measure_together
 from measure.measuring.burn_in import calibrated, enter_realtime
-from measure.measuring.kept_rig import CameraChange, Keep
+from measure.measuring.kept_rig import HOLDING, CameraChange, Keep
 from measure.model import Body, Camera, Detection, FrameSet
 from measure.session import Session
 
@@ -77,6 +76,8 @@ def keep_cameras(
     # A detector that remembers pictures would take those looked at besides for more of them.
     remembers = any(detector.stateful for detector in one.stages.detectors.values())
     if keep != "off" and not remembers and not why_not_kept(len(pipelines), len(one.cameras)):
+        from measure.calibration.keeping import CameraKeeper
+
         follows = keep == "follow"
         one.keeper = CameraKeeper(one.body, one.cameras, follows, earlier, start)
 

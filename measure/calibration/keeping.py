@@ -24,14 +24,12 @@ from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform, chi_square_quantile, squared_mahalanobis
 from measure.limits import CLEAR_RATIO
 from measure.measuring import Measurement
-from measure.measuring.kept_rig import CameraChange, KeptRig
+from measure.measuring.kept_rig import HOLDING, CameraChange, KeptRig
 from measure.measuring.tracking.predictive.motion_filter import MotionState
 from measure.measuring.tracking.predictive.search_windows import predict_windows
 from measure.model import BallView, Body, Camera, Detection, Expectation, FrameSet, Motion, Rig
 from measure.model.observations import Reason, State
 
-HOLDING = 2
-"""Cameras that must agree without the one in question: two alone cannot tell which was moved."""
 _BLIND_SETS = 5  # Frame sets without a ball where it should be, from which a camera is looked at
 _FEW_LOOKS, _FEWEST_LOOKS, _MANY_LOOKS = 3, 5, 30
 """The latest that a rough pose rests on; and of those that one pose must explain before a camera

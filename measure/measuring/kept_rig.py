@@ -13,6 +13,8 @@ from measure.model import Camera, Detection, Expectation, FrameSet, Motion
 
 Keep: TypeAlias = Literal["off", "warn", "follow"]
 """What is done about cameras that are moved meanwhile."""
+HOLDING = 2
+"""Cameras that must agree without the one in question: two alone cannot tell which was moved."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -206,6 +206,9 @@ WRITES: dict[str, Callable[[Place], Any]] = {
     "Preview": _preview,
     "accept": lambda p: lab.accept(p.run, p.session / "cam1.csv", p.out / "page.html"),
     "begin_marks": lambda p: api.begin_marks(p.out / "marks", p.session, p.calibration),
+    "calibrate_by_body_to": lambda p: api.calibrate_by_body_to(
+        p.out / "b.toml", p.session, None, Registry.discover()
+    ),
     "calibrate_to": lambda p: api.calibrate_to(p.out / "c.toml", p.capture),
     "capture_board": lambda p: studio_api.capture_board(
         _of_videos(p), "charuco_8x5_27", p.out / "wave", studio_api.CaptureOptions(seconds=0.2)
@@ -250,7 +253,8 @@ NAMELESS = {
 }  # fmt: skip
 """What writes, but reads no camera, body or ball of a file."""
 READS = {
-    "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "camera_line",
+    "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "calibrate_by_body",
+    "camera_line", "is_session",
     "camera_names", "cameras", "check", "choose", "compare", "contents_of", "described", "detect",
     "clicked_color", "drawings", "evaluate", "evaluation_tables", "events", "find_target",
     "inside", "learnt_colors", "load_profile", "measure_bodies", "measure_session",
