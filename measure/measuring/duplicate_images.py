@@ -184,12 +184,15 @@ class DuplicateImages:
         changes = {name: glances[name].change(self._latest[name][-1]) for name in new}
         moving = {name for name, change in changes.items() if change > _OTHER_LEVELS}
         still = {name for name, change in changes.items() if change < _SAME_LEVELS}
-        again = {name for name in new if glances[name].exact == self._latest[name][-1].exact}
+        exact = {name for name in new if glances[name].exact == self._latest[name][-1].exact}
+        # Encoded again: as long as it looks the same. A stall of equal pixels ends with the first
+        # others, which differ by their noise alone where the body rests.
+        again = still & self._stalled
         others = (self._used & new) - still
         if others and others <= moving:
-            again |= {name for name in still & self._used if self._moved.get(name)}
-        again |= still & self._stalled
+            again |= {name for name in still & self._used if self._moved.get(name)} - exact
         self._stalled = (self._stalled - new) | again
+        again |= exact
         self._moved |= {name: name in moving for name in new - again}
         return [name for name in glances if name in again]
 

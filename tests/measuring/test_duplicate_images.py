@@ -92,6 +92,17 @@ def test_a_camera_that_shows_anothers_pictures_encoded_again_is_named(late):
     assert duplicates.copies == {"c": "a"}
 
 
+def test_a_stall_before_a_body_at_rest_ends_with_the_next_exposure():
+    """Pictures of a body that rests differ by their noise only."""
+    duplicates, seen = DuplicateImages(), []
+    for index, quality in enumerate([92, 93, 93, 94, 95]):
+        images = {name: moving(name, index, k, quality) for k, name in enumerate("ab")}
+        new = duplicates.without_duplicates(FrameSet(index, index / 30, images))
+        duplicates.judge(new.shared, {"a", "b"})
+        seen.append(new.repeated)
+    assert seen == [(), (), ("a", "b"), (), ()]
+
+
 def test_if_all_cameras_stall_the_pose_is_flagged():
     duplicates = DuplicateImages()
     duplicates.without_duplicates(frame_set(0, {"a": 1, "b": 2}))
