@@ -136,13 +136,13 @@ def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
         measure(page, waits)
         check_steps(page, waits)
         mark_an_event(page)
+        assert [r for r in page.requests if not r.startswith((address, "blob:", "data:"))] == []
         check_served_files(address)
         check_run(home, addresses)
         look_through_recordings(page, address, home)
         serve(served, PLAIN.pictures(rng, rig))
         take_the_board_that_is_seen(page, address, home)
         assert page.errors == []
-        assert [r for r in page.requests if not r.startswith((address, "blob:", "data:"))] == []
 
 
 class Waits(dict[str, float]):
@@ -315,10 +315,8 @@ def look_through_recordings(page, address, home):
 
 
 def take_the_board_that_is_seen(page, address, home):
-    """Another one is waved than was chosen; then the calibration of before is taken back."""
-    file = home / "calibration.toml"
-    before, notes = file.read_bytes(), read_calibration(file).provenance
-    assert "world" in notes
+    """Another one is waved than was chosen."""
+    assert "world" in read_calibration(home / "calibration.toml").provenance
     desk.go(page, address + "calibration")
     page.wait_for(f"!!{desk.BUTTON.format('take back the world')}", 20)
     desk.press(page, "wave the board")
@@ -328,9 +326,6 @@ def take_the_board_that_is_seen(page, address, home):
     chosen = "document.querySelector('.board-tile.chosen').dataset.board"
     page.wait_for(f"{chosen} == {waved.PLAIN!r}", 20)
     check_rig(home, 1.5, 0.3)
-    desk.press(page, "take back the calibration")
-    page.wait_until(lambda: file.read_bytes() == before, "taken back", 20)
-    page.wait_for(f"!{JUDGEMENT}", 20)
 
 
 def check_rig(home, mm, deg):
