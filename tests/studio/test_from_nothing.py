@@ -239,9 +239,10 @@ def rename_and_take_back(page, home):
     name = "document.querySelector('[data-ball=white] input').value"
     desk.fill(page, "name of the white ball", "tip")
     page.evaluate("document.activeElement.blur()")
-    page.wait_until(lambda: "tip" in read_body(home / "body-1.toml").names, "named", 20)
+    text = (home / "body-1.toml").read_text  # read while it may be being written
+    page.wait_until(lambda: 'name = "tip"' in text(), "named", 20)
     press_in(page, "document", "take back the name")
-    page.wait_until(lambda: "white" in read_body(home / "body-1.toml").names, "taken back", 20)
+    page.wait_until(lambda: 'name = "white"' in text(), "taken back", 20)
     page.wait_for(f"{name} == 'white'", 20)
     assert page.evaluate(f"{CHIPS.format('.sure')} == 4")
 
