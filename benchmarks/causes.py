@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import shutil
 import tempfile
 import traceback
 from collections.abc import Iterator
@@ -26,7 +25,7 @@ import numpy as np
 from benchmarks.command import run_command
 from benchmarks.drawn_faults import HZ, SETS, drawn, scenes
 from benchmarks.recordings import BESIDE
-from benchmarks.rig_faults import CLEAR, GROSS, SLIGHT, Fault, faults, healthy
+from benchmarks.rig_faults import CLEAR, GROSS, SLIGHT, Fault, copied, faults, healthy
 from measure import api
 from measure.checking import Level
 from measure.host import Registry
@@ -62,9 +61,7 @@ def answers(source: Path, some: list[Fault]) -> Iterator[Answer]:
     for fault in some:
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / source.name
-            shutil.copytree(source, copy, copy_function=shutil.copyfile)
-            for where in (copy, *filter(Path.is_dir, copy.iterdir())):
-                where.chmod(0o755)
+            copied(source, copy)
             fault.change(copy)
             yield _answer(fault, source.name, copy, registry)
 

@@ -12,7 +12,6 @@ drawn. For each the first cause of `measure check` is printed, and the share of 
 from __future__ import annotations
 
 import argparse
-import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ import numpy as np
 from benchmarks.command import run_command
 from benchmarks.drawn_faults import HZ, SETS, scenes
 from benchmarks.recordings import recordings_beside
-from benchmarks.rig_faults import Change, cut, encoded, grainy, kept_cameras, squeezed
+from benchmarks.rig_faults import Change, copied, cut, encoded, grainy, kept_cameras, squeezed
 from measure import api
 from measure.checking import Level
 from measure.host import Registry
@@ -56,9 +55,7 @@ class Recording:
 
     def make(self, source: Path, folder: Path, rng: np.random.Generator) -> None:
         """Write it into a folder that is not there yet."""
-        shutil.copytree(source, folder, copy_function=shutil.copyfile)
-        for where in (folder, *filter(Path.is_dir, folder.iterdir())):
-            where.chmod(0o755)
+        copied(source, folder)
         names = [camera.name for camera in read_calibration(folder / "calibration.toml").cameras]
         fewest = {"all": len(names), "all but one": max(len(names) - 1, 2), "two": 2}[self.cameras]
         first = int(rng.integers(len(names)))

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ import numpy as np
 
 from benchmarks.command import run_command
 from benchmarks.drawn_faults import HZ, SETS, drawn, scenes
-from benchmarks.rig_faults import Fault
+from benchmarks.rig_faults import Fault, copied
 from measure import api
 from measure.checking.mending import MENDS
 from measure.host import Registry
@@ -65,9 +64,7 @@ def tried(source: Path, fault: Fault, healthy: tuple[float, Errors], registry: R
     """Make a fault, mend it and measure."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / source.name
-        shutil.copytree(source, folder, copy_function=shutil.copyfile)
-        for where in (folder, *filter(Path.is_dir, folder.iterdir())):
-            where.chmod(0o755)
+        copied(source, folder)
         fault.change(folder)
         out = Path(scratch) / "mended"
         found = api.mend(folder, out, registry)

@@ -202,6 +202,13 @@ def kept_cameras(*names: str) -> Change:
     return changed
 
 
+def copied(source: Path, folder: Path) -> None:
+    """Copy a recording into a folder that is not there yet, so that it may be changed."""
+    shutil.copytree(source, folder, copy_function=shutil.copyfile)
+    for where in (folder, *filter(Path.is_dir, folder.iterdir())):
+        where.chmod(0o755)
+
+
 def both(*changes: Change) -> Change:
     """One after the other."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,15 +94,33 @@ def calibrate_to(
     Returns:
         The result, and the page.
     """
+    name = capture.name or str(capture)
+    return write_judged(
+        lambda: (name, calibrate(capture, method, body, progress)),
+        out, file_format, report, overwrite,
+    )  # fmt: skip
+
+
+def write_judged(
+    make: Callable[[], tuple[str, CalibrationResult]],
+    out: Path,
+    file_format: str,
+    report: Path | None,
+    overwrite: bool,
+) -> tuple[CalibrationResult, Path]:
+    """Write what is made, by the name of its recording, and a page beside it; see `calibrate_to`.
+
+    That both can be written is known before it is made.
+    """
     from measure.viewing.report.calibration_report import calibration_report
 
     page = out.with_suffix(".html") if report is None else report
     check_apart(out, page)
     with output(out, overwrite) as file, output(page, overwrite) as written:
-        result = calibrate(capture, method, body, progress)
+        name, result = make()
         write_calibration(file, result.calibration, file_format)
-        made = calibration_report(capture.name or str(capture), result.rig, result.verdict)
-        written.write_text(made, encoding="utf-8")
+        text = calibration_report(name, result.rig, result.verdict)
+        written.write_text(text, encoding="utf-8")
     return result, page
 
 

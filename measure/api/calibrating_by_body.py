@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from measure.api.calibrating import CalibrationResult
+from measure.api.calibrating import CalibrationResult, write_judged
 from measure.api.lenses import tagged_px
 from measure.api.measuring import search_frame_sets
-from measure.api.outputs import check_apart, output
 from measure.api.profiles import build_detectors, load_profile
 from measure.api.refining import clock_shifts, lenient, measure_all
 from measure.calibration import RigCalibration, judge, provenance
@@ -39,6 +38,7 @@ from measure.measuring import Measurement, Profile
 from measure.model import Body, Camera, Intrinsics, RigObservations
 from measure.processes import Progress, quiet
 from measure.session import (
+    JOINT_COVARIANCE,
     Calibration,
     Session,
     clock_values,
@@ -46,7 +46,6 @@ from measure.session import (
     picture_bytes,
     picture_tags,
     read_intrinsics,
-    write_calibration,
 )
 from measure.session.streams import ImageStream, Stream
 
@@ -111,7 +110,7 @@ def calibrate_by_body(
         values |= {
             "body": opened.body.name,
             "frame_sets": rig.refinement.frames,
-            "joint_covariance": shape.joint,
+            JOINT_COVARIANCE: shape.joint,
         }
     calibration = Calibration(shape.cameras, values, shape.scale_sd)
     return CalibrationResult(calibration, located, verdict)
@@ -130,17 +129,12 @@ def calibrate_by_body_to(
     overwrite: bool = False,
 ) -> tuple[CalibrationResult, Path]:
     """`calibrate_by_body`, written to a file, with the report as a page beside it."""
-    from measure.viewing.report.calibration_report import calibration_report
 
-    page = out.with_suffix(".html") if report is None else report
-    check_apart(out, page)
-    with output(out, overwrite) as file, output(page, overwrite) as written:
+    def make() -> tuple[str, CalibrationResult]:
         result = calibrate_by_body(session, body, registry, lenses, progress=progress)
-        write_calibration(file, result.calibration, file_format)
-        name = str(result.calibration.provenance["capture"])
-        made = calibration_report(name, result.rig, result.verdict)
-        written.write_text(made, encoding="utf-8")
-    return result, page
+        return str(result.calibration.provenance["capture"]), result
+
+    return write_judged(make, out, file_format, report, overwrite)
 
 
 def _cameras_of(

@@ -42,6 +42,7 @@ from measure.model import BallColor, Body, Camera, Detection
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress, quiet
 from measure.session import (
+    JOINT_COVARIANCE,
     Calibration,
     Session,
     clock_values,
@@ -132,7 +133,7 @@ def refine(
     if names:
         values["freed"] = list(names)
     if joint is not None:
-        values["joint_covariance"] = joint
+        values[JOINT_COVARIANCE] = joint
     # The body to write: what is known of its radii becomes their tolerance
     sd_mm = float(np.sqrt(np.mean(np.diag(sized.radius_covariance))))
     refined = replace(sized.with_centers(rig.refinement.centers), radius_tolerance_mm=sd_mm)
@@ -169,7 +170,7 @@ def _freed_note(free: FreedRig, asked: bool) -> str:
 
 def joint_covariance(opened: Session) -> Floats | None:
     """The covariance of all cameras together, where their calibration holds it."""
-    known = read_calibration(opened.calibration_path).provenance.get("joint_covariance")
+    known = read_calibration(opened.calibration_path).provenance.get(JOINT_COVARIANCE)
     return None if known is None else np.asarray(known, dtype=np.float64)
 
 

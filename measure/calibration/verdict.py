@@ -32,6 +32,7 @@ from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import Rays, RigidTransform, nearest_point
 from measure.limits import SIGNIFICANT_SIGMAS
 from measure.model import Body, Camera, MarkerObservation, RigObservations
+from measure.session import JOINT_COVARIANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +233,7 @@ def provenance(rig: RigCalibration, verdict: Verdict, capture: str) -> dict[str,
             "worst_views_px": {n: dict(v) for n, v in verdict.worst_views.items()} or None,
             "findings": [str(finding) for finding in verdict.findings],
         },
-        "joint_covariance": None if fit is None else fit.covariance,
+        JOINT_COVARIANCE: None if fit is None else fit.covariance,
         "lenses": {name: _lens_values(rig, name) for name in rig.lenses} or None,
     }
 

@@ -33,12 +33,11 @@ from measure.checking.hypotheses import MIDWAY, Hypothesis, hypotheses, laid_ont
 from measure.geometry import RigidTransform
 from measure.geometry.normal_equations import symmetric_inverse
 from measure.model import Camera
-from measure.session import CameraSource, SessionParts
+from measure.session import JOINT_COVARIANCE, CameraSource, SessionParts
 
 _BLOCKS = 15
 """Parts of a recording of which every third is kept out of an estimate."""
 LATER = "-later"  # Behind the name of a camera from the instant on at which it was touched
-_JOINT = "joint_covariance"
 
 
 def kept_out(instants: int) -> Bools:
@@ -179,12 +178,12 @@ def _moved(parts: SessionParts, known: Known) -> SessionParts | None:
 
 def _joint_grown(parts: SessionParts, index: int, fresh: Floats) -> SessionParts:
     """The covariance of all cameras together, where it is known, with that of one pose added."""
-    if _JOINT not in parts.provenance:
+    if JOINT_COVARIANCE not in parts.provenance:
         return parts
-    joint = np.array(parts.provenance[_JOINT], dtype=np.float64)
+    joint = np.array(parts.provenance[JOINT_COVARIANCE], dtype=np.float64)
     first = sum(6 + len(camera.intrinsics.free) for camera in parts.cameras[:index])
     joint[first : first + 6, first : first + 6] += fresh
-    return replace(parts, provenance={**parts.provenance, _JOINT: joint})
+    return replace(parts, provenance={**parts.provenance, JOINT_COVARIANCE: joint})
 
 
 def _lens(parts: SessionParts, known: Known) -> SessionParts | None:
@@ -219,7 +218,9 @@ def _from_then_on(mend: Mend) -> Mend:
         sources, cameras = list(parts.sources), list(parts.cameras)
         sources[index : index + 1] = [ends, begins]
         cameras.insert(index + 1, replace(cameras[index], name=later))
-        provenance = {key: value for key, value in parts.provenance.items() if key != _JOINT}
+        provenance = {
+            key: value for key, value in parts.provenance.items() if key != JOINT_COVARIANCE
+        }
         cameras[index + 1] = altered(cameras[index + 1], found.of_camera(index))
         return replace(parts, sources=tuple(sources), cameras=tuple(cameras), provenance=provenance)
 

@@ -2,7 +2,7 @@
 
 from measure.reading import FileModel
 from measure.session.body_file import read_bodies, read_body, write_bodies, write_body
-from measure.session.calibration_file import Calibration
+from measure.session.calibration_file import JOINT_COVARIANCE, Calibration
 from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
 from measure.session.consistency import check_bodies, check_unit
 from measure.session.copying import CameraSource, SessionParts
@@ -46,9 +46,8 @@ from measure.session.trajectory import Trajectory, read_trajectory
 from measure.session.video_file import open_video_stream
 
 __all__ = [
-    "MM_PER", "ArrayStream", "Calibration", "CameraSource", "FileModel", "Format",
-    "Length", "Name", "Orientation",
-    "PictureTags",
+    "JOINT_COVARIANCE", "MM_PER", "ArrayStream", "Calibration", "CameraSource", "FileModel",
+    "Format", "Length", "Name", "Orientation", "PictureTags",
     "Position", "SafeName", "Session", "SessionParts", "StatedCamera", "StatedRig",
     "StatedTransform", "Stream",
     "TrackedBody", "Trajectory", "Unit", "able", "check_bodies", "check_name", "check_overlap",

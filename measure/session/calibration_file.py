@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,6 +32,8 @@ LONGEST_READOUT_S = 0.2
 UNSTATED_SCALE_SD = 6e-4
 """Standard deviation of the world's scale where a calibration states none: balls 76 mm apart show
 no less (docs/explanation/uncertainty.md)."""
+JOINT_COVARIANCE = "joint_covariance"
+"""Key of the provenance: of all poses and free lens parameters together, in the cameras' order."""
 UNIT_TOLERANCE = 1e-3  # How far the length of a written quaternion may be from 1
 
 
@@ -146,7 +148,7 @@ class CameraModel(FileModel):
 class CalibrationModel(FileModel):
     """A whole `calibration.toml`."""
 
-    cameras: Annotated[list[CameraModel], Field(min_length=1)]
+    cameras: Annotated[Sequence[CameraModel], Field(min_length=1)]
     scale_sd: Annotated[FiniteFloat, Field(ge=0, lt=1)] = UNSTATED_SCALE_SD
     provenance: Annotated[dict[str, Any], Field(default_factory=dict)]
 
@@ -158,12 +160,10 @@ class LensModel(CameraModel):
     translation_mm: Triple = (0.0, 0.0, 0.0)
 
 
-class LensesModel(FileModel):
+class LensesModel(CalibrationModel):
     """A whole `calibration.toml` of which only the lenses are used."""
 
-    cameras: Annotated[list[LensModel], Field(min_length=1)]
-    scale_sd: Annotated[FiniteFloat, Field(ge=0, lt=1)] = UNSTATED_SCALE_SD
-    provenance: Annotated[dict[str, Any], Field(default_factory=dict)]
+    cameras: Annotated[Sequence[LensModel], Field(min_length=1)]
 
 
 def read_own_lenses(path: Path) -> Calibration:

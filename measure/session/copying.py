@@ -14,7 +14,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.model import Body, Camera
 from measure.session.body_file import write_body
-from measure.session.calibration_file import Calibration
+from measure.session.calibration_file import JOINT_COVARIANCE, Calibration
 from measure.session.calibrations import read_calibration, write_calibration
 from measure.session.files import dump_toml, load_toml
 from measure.session.opening import SessionModel
@@ -22,7 +22,6 @@ from measure.session.session import Session
 from measure.session.streams import AlteredStream, Stream, numbers_in
 
 _CLOCKS = ("clock_digest", "clock_shifts_s")  # Which the stamps contain once they are written
-_JOINT = "joint_covariance"  # Of all cameras of a calibration, in its order
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +71,9 @@ class SessionParts:
             "truth": str(truth.absolute()) if truth else "",
             "reference": session.reference,
         }
-        left_out = _CLOCKS if known.names == tuple(session.streams) else (*_CLOCKS, _JOINT)
+        left_out = (
+            _CLOCKS if known.names == tuple(session.streams) else (*_CLOCKS, JOINT_COVARIANCE)
+        )
         return cls(
             {key: value for key, value in head.items() if value},
             tuple(

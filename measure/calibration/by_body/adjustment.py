@@ -17,7 +17,7 @@ from measure.calibration.board_views import lens_change, stack
 from measure.calibration.by_body.lenses import LENS_KINDS, is_open, with_lens_kind
 from measure.calibration.by_body.linking import LinkedRig
 from measure.calibration.common_views import shape_errors
-from measure.calibration.refining.freeing import FREE_SD, HELD_SD
+from measure.calibration.refining.freeing import FREE_SD, HELD_SD, joint_prior
 from measure.calibration.refining.procedure import compare_halves
 from measure.calibration.refining.recording import Recording, Track, ball_places
 from measure.calibration.refining.refine import Refinement, refine_rig
@@ -33,15 +33,7 @@ any would be singular."""
 
 def loose_prior(cameras: Sequence[Camera]) -> Floats:
     """The covariance of all poses and free lens parameters: the first pose held, the rest free."""
-    from scipy.linalg import block_diag
-
-    blocks = []
-    for number, camera in enumerate(cameras):
-        blocks.append(np.diag((FREE_SD if number else HELD_SD) ** 2))
-        lens, free = camera.intrinsics.covariance, camera.intrinsics.free
-        if lens is not None and len(free):
-            blocks.append(lens[np.ix_(free, free)])
-    return np.asarray(block_diag(*blocks), dtype=np.float64)
+    return joint_prior(cameras, [FREE_SD if number else HELD_SD for number in range(len(cameras))])
 
 
 def recording_of_links(linked: LinkedRig, body: Body) -> Recording:

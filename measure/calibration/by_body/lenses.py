@@ -14,6 +14,7 @@ import numpy as np
 
 from measure.calibration.board_views import stack
 from measure.calibration.by_body.linking import Instant, LinkedRig, link
+from measure.calibration.refining.freeing import ZOOM_SD, zoom_prior
 from measure.calibration.refining.recording import Recording
 from measure.errors import CalibrationError
 from measure.estimation.focal_length import zoomed
@@ -23,9 +24,9 @@ from measure.model.camera import USUAL_FOCAL
 FOCAL_FACTORS = (1.0, 1.25, 1.55, 0.8, 1.95, 0.65)
 """Of the usual focal length (70 deg of view along the longer side): 94 deg to 39 deg."""
 _TRIED = 40  # Instants by which they are told from each other
-_ZOOM_SD, _ASPECT_SD, _POINT_SD = 0.2, 0.003, 0.02
-"""Standard deviations: of the focal length about the best factor, of its two numbers against each
-other, and of the principal point, as a share of the longer side."""
+_ASPECT_SD, _POINT_SD = 0.003, 0.02
+"""Standard deviations: of the focal length's two numbers against each other, and of the principal
+point, as a share of the longer side."""
 _DISTORTION_SD = {4: 0.1, 5: 0.2, 6: 0.002, 7: 0.002, 8: 0.2}
 """Of the distortion coefficients of usual lenses, by their place among the lens parameters."""
 LENS_KINDS: tuple[tuple[int, ...], ...] = ((), (4,), (4, 5, 6, 7, 8))
@@ -70,16 +71,13 @@ def link_by_focal_lengths(
 def is_open(lens: Intrinsics) -> bool:
     """Whether of a lens nothing is known but what is usual."""
     focal = lens.matrix[0, 0]
-    return lens.covariance is not None and lens.covariance[0, 0] > (_ZOOM_SD / 2 * focal) ** 2
+    return lens.covariance is not None and lens.covariance[0, 0] > (ZOOM_SD / 2 * focal) ** 2
 
 
 def with_lens_kind(camera: Camera, distortion: Sequence[int]) -> Camera:
     """The camera with these distortion coefficients free, and what is usual of its lens."""
     lens = camera.intrinsics
-    focal = np.diag(lens.matrix)[:2]
-    covariance = np.zeros((12, 12))
-    covariance[:2, :2] = _ZOOM_SD**2 * np.outer(focal, focal) + np.diag((_ASPECT_SD * focal) ** 2)
-    covariance[2:4, 2:4] = (_POINT_SD * max(lens.size_wh)) ** 2 * np.eye(2)
+    covariance = zoom_prior(lens, _ASPECT_SD, _POINT_SD * max(lens.size_wh))
     for place in distortion:
         covariance[place, place] = _DISTORTION_SD[place] ** 2
     return replace(camera, intrinsics=replace(lens, covariance=covariance))

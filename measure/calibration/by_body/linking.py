@@ -11,7 +11,7 @@ most with all before: two cameras that never see the body at once are linked thr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import cv2
@@ -126,11 +126,10 @@ class _Group:
 
     def with_camera(self, name: str, camera_from_group: RigidTransform) -> _Group:
         placed = {**self.placed, name: camera_from_group.inverse()}
-        group = _Group(self.lenses, self.body, self.instants, self.poses, placed, self.bodies)
-        bodies = [group._body_at(number) for number in range(len(self.instants))]
-        return _Group(self.lenses, self.body, self.instants, self.poses, placed, bodies)
+        group = replace(self, placed=placed)
+        return replace(group, bodies=[group.body_at(k) for k in range(len(self.instants))])
 
-    def _body_at(self, number: int) -> list[RigidTransform]:
+    def body_at(self, number: int) -> list[RigidTransform]:
         """Where the body is at an instant by all cameras placed; rivals where they leave some."""
         rivals = list(self.bodies[number])
         for name, pose in self.placed.items():

@@ -21,7 +21,7 @@ from measure.checking.explaining import explain
 from measure.checking.sightings import evidence_of
 from measure.errors import CalibrationError
 from measure.measuring import Measurement
-from measure.model import Body, Camera
+from measure.model import Body, Camera, Intrinsics
 
 _OF_A_CAMERA = (Word.MOVED, Word.ZOOM, Word.POINT)
 _NO_REMEDY = (*_OF_A_CAMERA, Word.MOVED_AT, Word.CLOCK_STEP, Word.SCALE, Word.PLACE)
@@ -33,8 +33,7 @@ _AS_GOOD = 1.1  # Times what is left otherwise, that a rival may leave to be tho
 _MOST, _HELD = 0.5, 2  # Share that a cause explains; least number of cameras that are held
 FREE_SD, HELD_SD = np.repeat([[100.0, 0.3], [1e-3, 1e-6]], 3, axis=1)
 """Of a pose that is as good as unknown, and of one far better known than what is measured."""
-_ZOOM_SD, _ASPECT_SD, _POINT_SD_PX = 0.2, 2e-4, 100.0
-_LENS = (0, 1, 2, 3)  # The parameters that a zoom or a crop changes
+ZOOM_SD, _ASPECT_SD, _POINT_SD_PX = 0.2, 2e-4, 100.0
 _UNKNOWNS = {True: 6, False: 3}  # Of a moved camera and of a zoomed one: both focal lengths are one
 
 
@@ -148,17 +147,37 @@ def loosened(
     cameras: Sequence[Camera], names: Sequence[str], moved: bool
 ) -> tuple[tuple[Camera, ...], Floats]:
     """The cameras, and a covariance that frees poses or lenses of some and holds all else."""
+    out, sds = [], []
+    for camera in cameras:
+        free, lens = camera.name in names, camera.intrinsics
+        zoomed = zoom_prior(lens, _ASPECT_SD, _POINT_SD_PX) if free and not moved else None
+        lens = replace(lens, covariance=zoomed)
+        out.append(replace(camera, intrinsics=lens, pose_covariance=None))
+        sds.append(FREE_SD if free and moved else HELD_SD)
+    return tuple(out), joint_prior(out, sds)
+
+
+def zoom_prior(lens: Intrinsics, aspect_sd: float, point_sd_px: float) -> Floats:
+    """The covariance (12, 12) of a lens of which focal length and principal point are open.
+
+    Args:
+        aspect_sd: of its two focal lengths against each other, as a share.
+        point_sd_px: of each coordinate of the principal point.
+    """
+    focal, out = np.diag(lens.matrix)[:2], np.zeros((12, 12))
+    out[:2, :2] = ZOOM_SD**2 * np.outer(focal, focal) + np.diag(aspect_sd * focal) ** 2
+    out[2:4, 2:4] = point_sd_px**2 * np.eye(2)
+    return out
+
+
+def joint_prior(cameras: Sequence[Camera], pose_sds: Sequence[Floats]) -> Floats:
+    """The covariance of all poses, by their standard deviations (6,), and free lens parameters."""
     from scipy.linalg import block_diag
 
-    out, blocks = [], []
-    for camera in cameras:
-        free, lens = camera.name in names, None
-        blocks.append(np.diag((FREE_SD if free and moved else HELD_SD) ** 2))
-        if free and not moved:
-            focal, lens = np.diag(camera.intrinsics.matrix)[:2], np.zeros((12, 12))
-            lens[:2, :2] = _ZOOM_SD**2 * np.outer(focal, focal) + np.diag(_ASPECT_SD * focal) ** 2
-            lens[2:4, 2:4] = _POINT_SD_PX**2 * np.eye(2)
-            blocks.append(lens[np.ix_(_LENS, _LENS)])
-        intrinsics = replace(camera.intrinsics, covariance=lens)
-        out.append(replace(camera, intrinsics=intrinsics, pose_covariance=None))
-    return tuple(out), np.asarray(block_diag(*blocks), dtype=np.float64)
+    blocks = []
+    for camera, sd in zip(cameras, pose_sds, strict=True):
+        blocks.append(np.diag(sd**2))
+        lens, free = camera.intrinsics.covariance, camera.intrinsics.free
+        if lens is not None and len(free):
+            blocks.append(lens[np.ix_(free, free)])
+    return np.asarray(block_diag(*blocks), dtype=np.float64)

@@ -21,7 +21,7 @@ from measure.model import Body, Pose
 from measure.results import Run, read_run
 from measure.results.pose_table import poses_of, rests_of, shared_errors
 from measure.results.run import camera_in
-from measure.session import Calibration, read_calibration
+from measure.session import JOINT_COVARIANCE, Calibration, read_calibration
 from measure_lab.lengths import Pivot, SpinAxis, find_spin_axis, find_tip
 
 _LATEST = 3000  # Poses in which rests are looked for while measuring
@@ -224,14 +224,14 @@ def _moved(given: Calibration, place: UncertainTransform, origin: str) -> Calibr
     """
     new_from_old = place.transform.inverse()
     notes = dict(given.provenance)
-    joint = notes.pop("joint_covariance", None)
+    joint = notes.pop(JOINT_COVARIANCE, None)
     sizes = [6 + len(c.intrinsics.free) for c in given.cameras]
     if joint is not None and len(joint) == sum(sizes):
         turn = np.eye(len(joint))
         for start in np.cumsum([0, *sizes[:-1]]):
             for at in (start, start + 3):
                 turn[at : at + 3, at : at + 3] = new_from_old.rotation
-        notes["joint_covariance"] = turn @ np.asarray(joint) @ turn.T
+        notes[JOINT_COVARIANCE] = turn @ np.asarray(joint) @ turn.T
     notes["world"] = {
         "from": origin,
         "quat_wxyz": place.transform.quat_wxyz,
