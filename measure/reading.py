@@ -214,9 +214,10 @@ def missing_message(path: Path) -> str:
     if path.is_symlink():
         return f"{path}: {what}: it is a link to what does not exist"
     try:
-        names = sorted(entry.name for entry in folder.iterdir())
+        every = sorted(entry.name for entry in folder.iterdir())
     except OSError:
         return f"{path}: {what}"
+    names = [name for name in every if not name.startswith(".")]  # an output that is begun is
     near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.7)
     if near:
         return f"{path}: {what}; did you mean {' or '.join(near)}?"

@@ -53,6 +53,12 @@ def test_a_missing_session(recording: Recording, capsys) -> None:
     assert "recc: no such file or folder; did you mean rec?" in line
 
 
+def test_what_is_missing_is_not_sought_among_outputs_that_are_begun(tmp_path, capsys):
+    (tmp_path / "seen").mkdir()
+    line = complaint(capsys, "calibrate", tmp_path / "nowhere", "--out", tmp_path / "rig.toml")
+    assert line.endswith(f"nowhere: no such file or folder; {tmp_path} holds seen")
+
+
 def test_an_unknown_plugin_and_its_near_names(recording: Recording, capsys) -> None:
     line = complaint(capsys, *run_words(recording, "--detector", "huogh"))
     assert "no detector is called 'huogh'; did you mean 'hough'?" in line
