@@ -32,6 +32,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "live": (RUN, "none0", "none1", "--calibration", "rig.toml", "--body", "none"),
     "mend": (RECORDING, "none"),
     "pivot": ("", "none"),
+    "recalibrate": ("", "shipped", "none"),
     "record": (RECORDING, "cam0=none"),
     "refine": ("", "none"),
     "register": ("",),

@@ -72,12 +72,13 @@ def test_the_version_before_is_one_press_away(tmp_path):
     with pytest.raises(ConfigError, match=r"no other version of calibration\.toml"):
         bench.take_back(file)
     file.write_text("second")
-    bench.keep(file, b"first")
+    bench.keep(file, b"first", "the calibration")
+    assert bench.changed(file) == "the calibration"
     bench.take_back(file)
     assert file.read_text() == "first"
     bench.take_back(file)
     assert file.read_text() == "second"
     assert studio_api.contents_of(tmp_path).calibrations == ()
-    bench.keep(file, None)  # Nothing was there before
+    bench.keep(file, None, "the calibration")  # Nothing was there before
     with pytest.raises(ConfigError):
         bench.take_back(file)
