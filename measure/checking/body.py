@@ -200,7 +200,7 @@ def twin_findings(body: Body) -> list[Finding]:
         f"would be turned by {angle:.0f} deg{others}, and no picture could tell: look at the body "
         "whether each colour sits where the file says"
     )
-    return [Finding(Level.WEAK, "body", text)]
+    return [Finding(Level.NOTE, "body", text)]
 
 
 def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:

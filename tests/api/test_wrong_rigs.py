@@ -225,7 +225,7 @@ def test_a_body_that_is_its_own_twin_is_named(still: Path, tmp_path: Path) -> No
 
 def twins(lines) -> int:
     return sum(
-        "weak: with green and red exchanged in the body file its pose would be turned by 180 deg"
+        "note: with green and red exchanged in the body file its pose would be turned by 180 deg"
         in line
         for line in lines
     )

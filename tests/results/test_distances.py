@@ -28,7 +28,7 @@ def notes(folder, stated, noise_mm=0.0, sets=8, size=1.0):
             writer.append(replace(found, positions=tuple(positions)))
         summary = writer.finish()
     assert read_run(folder).summary == summary
-    return tuple(n for n in summary.notes if not n.startswith("weak: with green and red exch"))
+    return tuple(n for n in summary.notes if not n.startswith("note: with green and red exch"))
 
 
 def resized(share, *names):
