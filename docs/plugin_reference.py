@@ -1,4 +1,4 @@
-"""The page `docs/reference/plugins.md`: what a plugin may use, from the code and its docstrings."""
+"""The page `reference/plugins.md` of the site: what a plugin may use, by code and docstrings."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ PACKAGES = (
 HEAD = """# Reference for plugin authors
 
 Every public name of the packages that a plugin works with;
-[writing a plugin](../writing_a_plugin.md) shows complete examples. Written by
-`python docs/regenerate.py` from the code and its docstrings.
+[writing a plugin](../writing_a_plugin.md) shows complete examples.
 
 Lengths are in mm, angles in rad, times in s, image coordinates in px (pixel centres at integers).
 Shapes are written as `(n, 2)`; a leading `...` stands for batch axes.
@@ -42,7 +41,7 @@ _CONSTRUCTOR = "Constructor."
 
 
 def plugin_page() -> str:
-    """The text of `docs/reference/plugins.md`."""
+    """The text of `reference/plugins.md`."""
     return HEAD + "".join(_package(importlib.import_module(name)) for name in PACKAGES)
 
 

@@ -23,7 +23,7 @@ class Block:
         line: where it starts.
         language: after the fence.
         text: between the fences.
-        mark: the comment right above it ("file: NAME", "skip: REASON", "same as: FILE"), or "".
+        mark: the comment right above it ("file: NAME", "skip: REASON"), or "".
     """
 
     page: Path
@@ -35,6 +35,12 @@ class Block:
     def marked(self, key: str) -> str:
         """The value of the mark `key: value`, or ""."""
         return self.mark.removeprefix(f"{key}: ") if self.mark.startswith(f"{key}: ") else ""
+
+    @property
+    def listing(self) -> str:
+        """The file of the repository that the site shows in its place, or ""."""
+        found = re.fullmatch(r'--8<-- "(.+)"\n', self.text)
+        return found[1] if found else ""
 
 
 def blocks(page: Path) -> list[Block]:

@@ -1,8 +1,7 @@
-"""Write what is generated in the docs: `python docs/regenerate.py`.
+"""Pages that MkDocs makes from the program when it builds the site (`hooks` in mkdocs.yml).
 
-`docs/cli.md` holds the help of every command, `docs/settings.md` every setting of the built-in
-plugins and profiles, `docs/reference/plugins.md` what a plugin may use; blocks marked
-`<!-- same as: FILE -->` hold a file of the repository. The tests compare.
+`cli.md` holds the help of every command, `settings.md` every setting of the built-in plugins and
+profiles, `reference/plugins.md` what a plugin may use.
 """
 
 from __future__ import annotations
@@ -14,8 +13,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable
-from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from plugin_reference import attributes, plugin_page
 
@@ -25,36 +23,41 @@ from measure.host import Loaded, Registry, Setting, describe_settings
 from measure.measuring import Profile
 from measure.neighbours import commands
 
-ROOT = Path(__file__).resolve().parents[1]
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+
 HEAD = """# Command line
 
-What `--help` says of every command, written by `python docs/regenerate.py`. Where `measure` is not
-on the path, `python -m measure` is the same.
+The `--help` of every command. Where `measure` is not on the path, type `python -m measure` instead.
 
-Exit codes: 0 done; 2 a mistake, which one line on stderr explains; 3 `check`,
-`calibrate` or `accept` found what must not be believed ("wrong"); 1 a defect of ours, with its
-traceback; 130 interrupted; 143 ended by SIGTERM; 141 whoever read the output went away.
+| exit code | meaning |
+|---:|---|
+| 0 | done |
+| 1 | a defect of the program, with its traceback |
+| 2 | a mistake; one line on stderr explains it |
+| 3 | `check`, `calibrate` or `accept` found something wrong; do not rely on the result |
+| 130, 143 | interrupted, ended by SIGTERM |
+| 141 | the reader of the output closed it |
 
 `--out`, `--overwrite`: [one rule for all outputs](conventions.md#outputs).
 """
 SETTINGS_HEAD = """# Settings
 
-Every setting of the stages that come with the program. Written by `python docs/regenerate.py` from
-the code that checks them; `measure plugins show NAME` prints the same of any plugin, also of
-others'.
+Every setting of the built-in stages. `measure plugins show NAME` prints those of any installed
+plugin.
 
-A stage is chosen with `--detector`, `--triangulator` or `--solver`, a setting changed with `--set`:
+`--detector`, `--triangulator` and `--solver` choose a stage. `--set` changes a setting:
 
 ```text
 measure run SESSION --out RUN --set detector.rays=128 --set tracking.lost_after=5
 ```
 
-or both in a profile, a TOML file given with `--profile`. The `run.toml` of a run serves as one,
-too. A sink is chosen with `--send`; its settings follow a `?` in the address, or are
-given as `--set SINK.NAME=VALUE` ([sending poses](how_to/send_poses.md)).
+A profile does both. It is a TOML file that you pass with `--profile`; the `run.toml` of a run is
+one, too. `--send` chooses a sink. Its settings follow a `?` in the address, or are given as
+`--set SINK.NAME=VALUE` ([sending poses](how_to/send_poses.md)).
 """
-SHARED_BY = 4
-"""An option that means the same in so many commands is described once."""
+SHARED_BY = 4  # An option that means the same in so many commands is described once
 KINDS = {
     "detector": "Detectors",
     "triangulator": "Triangulators",
@@ -63,7 +66,20 @@ KINDS = {
     "estimator": "Estimators",
     "sink": "Sinks",
 }
-SAME = re.compile(r"<!-- same as: (\S+) -->\n```(\w+)\n(.*?)```\n", re.DOTALL)
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages; MkDocs calls it with the files that it found in the folder."""
+    from mkdocs.structure.files import File
+
+    pages = {
+        "cli.md": command_line_page,
+        "settings.md": settings_page,
+        "reference/plugins.md": plugin_page,
+    }
+    for address, make in pages.items():
+        files.append(File.generated(config, address, content=make()))
+    return files
 
 
 def command_line_page() -> str:
@@ -181,21 +197,3 @@ def table(head: list[str], rows: list[list[str]]) -> str:
     """A Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
-
-
-def with_files(text: str) -> str:
-    """A page with the current text of every file it shows."""
-
-    def show(match: re.Match[str]) -> str:
-        content = (ROOT / match[1]).read_text(encoding="utf-8")
-        return f"<!-- same as: {match[1]} -->\n```{match[2]}\n{content}```\n"
-
-    return SAME.sub(show, text)
-
-
-if __name__ == "__main__":
-    (ROOT / "docs" / "cli.md").write_text(command_line_page(), encoding="utf-8")
-    (ROOT / "docs" / "settings.md").write_text(settings_page(), encoding="utf-8")
-    (ROOT / "docs" / "reference" / "plugins.md").write_text(plugin_page(), encoding="utf-8")
-    for page in (ROOT / "docs").rglob("*.md"):
-        page.write_text(with_files(page.read_text(encoding="utf-8")), encoding="utf-8")
