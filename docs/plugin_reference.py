@@ -78,7 +78,7 @@ def members(described: type) -> Iterator[tuple[str, str, str]]:
 
 
 def attributes(described: type) -> dict[str, str]:
-    """What is said of fields, by name: below "Attributes:" of the docstring, or in comments."""
+    """Descriptions of fields, by name: below "Attributes:" of the docstring, or in comments."""
     listed = _entries(_sections(inspect.getdoc(described) or "").get("Attributes", ""))
     return dict(listed) | _commented(described)
 

@@ -61,14 +61,14 @@ class ProgressClock:
         """How much is done, below 1 while it goes on; None where nobody knows."""
         return None if self.total is None or self.done >= self.total else self.done / self.total
 
-    def told(self, now_s: float) -> str:
+    def text(self, now_s: float) -> str:
         """The clock: "elapsed 0:10, about 0:34 left"."""
-        told = f"elapsed {_clock(now_s - self._begun_s)}"
+        text = f"elapsed {_clock(now_s - self._begun_s)}"
         since_s, before = self._first or (now_s, self.done)
         if self.share is None or self.total is None or now_s <= since_s or self.done <= before:
-            return told
+            return text
         left_s = (self.total - self.done) * (now_s - since_s) / (self.done - before)
-        return f"{told}, about {_clock(max(left_s, 1.0))} left"
+        return f"{text}, about {_clock(max(left_s, 1.0))} left"
 
 
 def _clock(seconds: float) -> str:

@@ -70,7 +70,7 @@ def calibrate_by_body(
 
     Args:
         body: body file; the session's own if omitted.
-        lenses: calibration of which the lenses are used, and nothing else.
+        lenses: calibration; only its lenses are used.
         profile: how to measure, by name or TOML file.
 
     Raises:
@@ -144,8 +144,8 @@ def _cameras_of(
 
     def lens_of(name: str, stream: Stream) -> Intrinsics:
         if known is None:
-            usual, told = usual_lens(stream.size_wh), _tagged_px(stream)
-            return zoomed(usual, told / usual.focal_px) if told else usual
+            usual, tagged_px = usual_lens(stream.size_wh), _tagged_px(stream)
+            return zoomed(usual, tagged_px / usual.focal_px) if tagged_px else usual
         if name not in known:
             raise CalibrationError(
                 f"camera '{name}' of {session} has no lens {source}; there is one of "

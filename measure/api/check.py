@@ -125,8 +125,8 @@ def _concluded(session: Session, look: Look, findings: list[Finding]) -> Session
         findings.append(Finding(Level.NOTE, "body", alone))
     motion, searched, causes = look.motion, look.searched, look.causes
     if causes and causes[0].cause in _FIRST_OF_ALL:
-        told = (*(cause.finding for cause in causes), *worst_first(findings))
-        return SessionCheck(session.name, look.frame_sets, len(searched), told, causes=causes)
+        reported = (*(cause.finding for cause in causes), *worst_first(findings))
+        return SessionCheck(session.name, look.frame_sets, len(searched), reported, causes=causes)
     true_colors = not any(cause.cause is Word.EXPOSURE for cause in causes)
     coverage, weak = coverage_findings(searched, session.body, session.cameras, true_colors)
     findings += [*twin_findings(session.body), *weak, *flag_findings(motion)]
@@ -170,7 +170,7 @@ def _seen(searched: Sequence[SearchSample]) -> int:
 
 _FILE = {Word.EXCHANGED_BALLS, Word.MIRRORED}
 """What the balls' distances alone say of the body file, and no fit of its pose."""
-_BETTER = 1.5  # Times as many sightings make another search believed
+_BETTER = 1.5  # Times as many sightings make another search accepted
 _MOST = 0.5  # Share of what is seen that a cause explains, from which it needs no second opinion
 _FIRST_OF_ALL = (Word.EXCHANGED_CAMERAS, Word.MIRRORED, Word.EXCHANGED_CHANNELS)
 """Pictures that are not what their camera sees: nothing else is judged before."""
@@ -211,8 +211,12 @@ class Look:
     def doubtful(self) -> bool:
         """Whether a clock may be so far off that poses cannot tell."""
         first = self.causes[:1]
-        told = any(c.cause in (*_FIRST_OF_ALL, Word.SAME_PICTURES) or c.unit == "%" for c in first)
-        return not told and (0 < self.posed < len(self.searched) / 2 or self.diagnosis.unexplained)
+        explained = any(
+            c.cause in (*_FIRST_OF_ALL, Word.SAME_PICTURES) or c.unit == "%" for c in first
+        )
+        return not explained and (
+            0 < self.posed < len(self.searched) / 2 or self.diagnosis.unexplained
+        )
 
     @property
     def late_s(self) -> dict[str, float]:

@@ -201,7 +201,7 @@ def _place(
 
 
 def drawings(pictures: Sequence[Path], out: Path | None, overwrite: bool = False) -> list[Path]:
-    """The files in a folder to draw into, all of which may be written; none without a folder."""
+    """The files in a folder to draw into, all free to be written; none without a folder."""
     drawn = [] if out is None else [out / f"{picture.stem}.png" for picture in pictures]
     check_apart(*drawn)
     for one in drawn:

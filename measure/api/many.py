@@ -55,7 +55,7 @@ def run_many(
 ) -> list[Outcome]:
     """Measure recordings independently of each other, each into a folder of its own in `out`.
 
-    Results, one a recording in their order, are those of measuring them one by one. A worker that
+    Results, one per recording in their order, are those of measuring them one by one. A worker that
     is killed loses no recording: what it was at is measured again from the start. A recording that
     fails does not stop the others.
 

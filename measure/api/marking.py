@@ -104,7 +104,7 @@ def begin_marks(out: Path, source: Path, calibration: Path, markers: Path | None
     Args:
         out: the folder; the pictures may lie in it already.
         source: a folder with pictures that are named like the cameras (cam0.png), or a recorded
-            session, of which the first ones are taken.
+            session: its first ones are taken.
         calibration: gives the lenses.
         markers: a table or a target file with their places, or a body that lies in the origin.
     """
@@ -256,7 +256,7 @@ class Marking:
         return sorted({name for mine in self.marks.values() for name in mine} - self.points.keys())
 
     def _named(self, key: Literal["marks", "markers"]) -> Path:
-        """The file of that name; the capture is told of it, if it does not know one.
+        """The file of that name; the capture takes it over, if it does not know one.
 
         ConfigError: the capture, which a stranger may have written, names one outside its folder.
         """

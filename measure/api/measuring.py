@@ -46,7 +46,7 @@ def measure_bodies(
     """`measure_session` for all of `session.bodies`, in order, each with its own pipeline.
 
     From frame set `start` on: detectors calibrate themselves on the first ones all the same, and
-    there is a run-up, of which nothing is yielded. Cameras that are moved meanwhile are kept, see
+    there is a run-up, which yields nothing. Cameras that are moved meanwhile are kept, see
     `keep_cameras`.
     """
     pipelines = [calibrated_pipeline(session, profile, registry, body) for body in session.bodies]
@@ -73,7 +73,7 @@ def keep_cameras(
         earlier: what was noticed before frame set `start`.
     """
     one = pipelines[0]
-    # A detector that remembers pictures would take those looked at besides for more of them.
+    # A detector that remembers pictures would take those of the search as more of them.
     remembers = any(detector.stateful for detector in one.stages.detectors.values())
     if keep != "off" and not remembers and not why_not_kept(len(pipelines), len(one.cameras)):
         from measure.calibration.keeping import CameraKeeper

@@ -27,9 +27,9 @@ from measure.processes import Progress, quiet
 from measure.session import CameraSource, Session, SessionParts, open_session, session_file
 
 _MOST_MENDS, _MOST_RIVALS, _SHARPENED = 5, 2, 2
-_FEWEST = 9  # Instants, of which a third is kept out
+_FEWEST = 9  # Instants; a third of them is kept out
 _BETTER = 0.95
-"""Times the residuals of before, in the RMS, from which kept-out instants are said to improve."""
+"""Times the residuals of before, in the RMS, from which kept-out instants count as improved."""
 _AS_GOOD = 1.1  # Times the mean square that the best leaves, up to which a rival explains as much
 _SETTLED = 0.3  # Standard deviations, below which a second estimate changes nothing
 _LOST = 0.02  # Share of frame sets that may lose their pose by a mend that lets the rest fit better
@@ -128,8 +128,8 @@ def mend(
         found = Mended(name, tuple(changes), first.fitness, last.fitness, refused, wrong)
         if not refused:
             origin = {"mended_from": str(session_file(session_path).absolute())}
-            told = {"mended": [text for change in changes for text in change.changed]}
-            provenance = {**last.parts.provenance, **origin, **(told if changes else {})}
+            mended = {"mended": [text for change in changes for text in change.changed]}
+            provenance = {**last.parts.provenance, **origin, **(mended if changes else {})}
             with new_folder(out, overwrite, _MARK):
                 out.mkdir(parents=True, exist_ok=True)
                 replace(last.parts, provenance=provenance).write(out)
@@ -320,12 +320,12 @@ def _by_hand(cause: Cause) -> str:
 
 
 def _not_better(cause: Cause, tried: Sequence[tuple[Cause, _State]], before: _State) -> str:
-    told = [
+    tests = [
         f"with {in_words(one.cause, one.of)} mended instants kept out miss by "
         f"{_sds(then.fitness)} SD, as it is by {_sds(before.fitness)} SD"
         for one, then in tried
     ]
-    why = "; ".join(told) or "no cameras, body or stamps can be so"
+    why = "; ".join(tests) or "no cameras, body or stamps can be so"
     return f"{cause.text}: mending this makes the recording fit no better ({why}): {cause.remedy}"
 
 

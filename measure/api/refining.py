@@ -299,8 +299,10 @@ def find_body(
         try:
             found = _adjusted(opened, rough, pattern, origin, chosen, registry, progress)
         except CalibrationError as problem:
-            told = wrong_size(frames, rough)
-            raise CalibrationError(f"{told} ({problem})" if told else str(problem)) from None
+            problem_of_size = wrong_size(frames, rough)
+            raise CalibrationError(
+                f"{problem_of_size} ({problem})" if problem_of_size else str(problem)
+            ) from None
         return replace(found, left_out=left_out(frames, every, rough.names))
 
 
@@ -324,7 +326,7 @@ def _searched(
         located: dict[str, SeenBall] = {}
         for body, seen in zip(probes, found, strict=True):
             if body is pattern:
-                # A known layout has told other things of these colours apart: two rays will do.
+                # A known layout has separated other things of these colours: two rays will do.
                 mine = _of_this_body(seen, body, session)
                 located |= locate(mine, body, session.cameras, 2)
             else:

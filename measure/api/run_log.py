@@ -26,7 +26,7 @@ RESERVED_BYTES = 32_000_000
 """Least room on the disk to go on: more than the recording buffers at a time."""
 LEAST_BYTES, BYTES_A_VIEW, BYTES_A_PIXEL = 1_500_000, 4_000, 0.3
 """What a short recording needs: what stands at its head, and its tables; for each ball in each
-camera of a frame set, of which 300 of four cameras and three balls take 10 MB; and as a picture."""
+camera of a frame set (300 sets of four cameras and three balls take 10 MB); and as a picture."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class RunLog:
             )
 
     def close(self) -> None:
-        """Close the recording; if that fails, it is told at the end of the block."""
+        """Close the recording; a failure is reported at the end of the block."""
         log, self._log = self._log, None
         if log is not None:
             try:

@@ -18,7 +18,7 @@ _LOOK_SIDES_PX = (640, 960)
 time of all pixels, squares of 15 px of a 720p picture are found; in the second those of 10."""
 _PLANE_SHARE, _NEARER = 0.25, 1.15
 """By how much of its side a marker may miss its board's plane; and times as large as another copy's
-the markers of a board must be to be taken for the nearer one."""
+the markers of a board must be to count as the nearer one."""
 _AROUND_SHARE = 0.25  # Border of the part that is searched again, in sizes of what was found there
 
 CornerRule = Literal["pattern", "gradient"]

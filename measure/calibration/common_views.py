@@ -122,8 +122,8 @@ def _start(
                 if _agree_in_a_mirror(board, lens, [(boards[i], mine[i]) for i in common]):
                     raise CalibrationError(f"camera {name}: {_MIRRORED}") from None
                 if by := _shift(board, boards, from_board):
-                    told = f"camera {name}: {_NOT_TOGETHER} {_shifted(by)}"
-                    raise CalibrationError(told) from None
+                    message = f"camera {name}: {_NOT_TOGETHER} {_shifted(by)}"
+                    raise CalibrationError(message) from None
                 raise
             for instant, turn in zip(common, turned, strict=True):
                 ids = board.turns[turn][mine[instant].ids]
@@ -204,7 +204,7 @@ def _shifted(by: int) -> str:
     way, lost = ("after", "it") if by > 0 else ("before", "another camera")
     which = f"the one {f'{abs(by)} numbers ' if abs(by) > 1 else ''}{way} it"
     return (
-        f"They do when each of its pictures is taken for {which}: {lost} lost {abs(by)} at the "
+        f"They do when each of its pictures is used as {which}: {lost} lost {abs(by)} at the "
         "beginning; give its pictures those numbers, or take all again"
     )
 
@@ -320,8 +320,8 @@ def board_frame(
     """
     if len(board.turns) > 1:
         raise CalibrationError(
-            f"{same_after(board)}, and a frame cannot be told from it: take a ChArUco board, or "
-            "one with an odd and an even number of inner corners"
+            f"{same_after(board)}, so two frames are possible: take a ChArUco board, or one "
+            "with an odd and an even number of inner corners"
         )
     grays = {
         n: np.asarray(cv2.cvtColor(p, cv2.COLOR_BGR2GRAY), np.uint8) for n, p in pictures.items()

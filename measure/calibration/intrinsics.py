@@ -85,7 +85,7 @@ _TRIED = np.array([0.004, 0.4, 0.4])
 """Steps by which shapes are tried, a share and mm: errors of corners grow in proportion to them."""
 _UNKNOWN = np.array([0.1, 10.0, 10.0])  # Standard deviations of what no picture shows
 _LEAST = np.array([5e-4, 0.15, 0.15])
-"""From which a board is believed not to be as drawn: one that is shows a third of that at most."""
+"""From which a board counts as not as drawn: one that is shows a third of that at most."""
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ _WINDOWS_S = (4.0, 2.0, 1.0)
 """How long a camera must have stood still, and shown the balls; the longest that fits is taken."""
 _AGAIN_S = 0.25  # From one try to bring a camera back to the next
 _STILL_PX = 1.0  # Median miss of one pose up to which a camera stood still meanwhile
-_MISS_PX = 3.0  # The same of looks of which some are of whole pictures
+_MISS_PX = 3.0  # The same where some looks are of whole pictures
 _ASIDE_PX, _TURN_SHARE, _SIZE_RATIO = 8.0, 0.25, 1.3
 """How far the other balls may lie from where they are with the first: so much, and a share of
 their distance (a roll of 14 deg); and by what factor a ball may appear larger."""

@@ -60,7 +60,7 @@ class OtherBoard:
 
 
 def other_board(board: Board, grays: Sequence[Bytes]) -> OtherBoard | None:
-    """The board in pictures (h, w) none of which shows the chosen one; None where there is none.
+    """The board in pictures (h, w) without the chosen one; None where there is none.
 
     It takes a second or two: ask when a board has not been found for a while.
     """
@@ -113,7 +113,7 @@ def _is_of(dictionary: str, family: str) -> bool:
 def _families_seen(
     grays: Sequence[Bytes], families: Sequence[str], inverted: bool
 ) -> list[_Markers]:
-    """The markers of each family of which enough are seen."""
+    """The markers of each family that shows enough of them."""
     detector = cv2.aruco.ArucoDetector([*map(aruco_dictionary, families)])
     found = [_Markers(name, inverted, []) for name in families]
     for gray in grays:
@@ -130,7 +130,7 @@ def _families_seen(
 
 
 def _without_strays(seen: _Markers) -> _Markers:
-    """Without what a search takes for markers now and then: numbers far from all others."""
+    """Without what a search sometimes mistakes for markers: numbers far from all others."""
     numbers = seen.numbers
     heaps = np.split(numbers, np.flatnonzero(np.diff(numbers) > _STRAY) + 1)
     heap = max(heaps, key=len)

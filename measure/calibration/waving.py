@@ -26,7 +26,7 @@ from measure.model.camera import USUAL_FOCAL
 _NEW_SHARE = 0.06  # Share of the diagonal by which a view differs from those that are kept
 _SLIP_PX = 0.5  # How far the board may move between the pictures of one instant
 _FAR_PX = 12.0  # Corners nearer to each other than this are found seldom, and badly
-_SLOW_S = 1.0  # A computer that looks more seldom than this is told of: hands wait for it
+_SLOW_S = 1.0  # A computer that looks less often than this is reported: hands wait for it
 _CLOSER_LOOKS = 10  # In succession without the board, after which another one is looked for
 _UNSEEN_LOOKS = 30  # In succession, before it is asked whether the board is the one that was chosen
 _FIT_EVERY = 4  # Instants after which the cameras are fitted again

@@ -97,9 +97,9 @@ class Cause:
 
         Not if it is open which of two cameras is off, or which sign of a body file is wrong.
         """
-        told = self.cause is not Word.MIRRORED or bool(self.instead)
+        named = self.cause is not Word.MIRRORED or bool(self.instead)
         one = "," not in self.of or self.cause not in (Word.MOVED, Word.MOVED_AT)
-        return told and one and self.cause not in BY_HAND
+        return named and one and self.cause not in BY_HAND
 
     @property
     def deviations(self) -> float:
@@ -149,13 +149,13 @@ def beside(pictures: Sequence[Cause], others: Sequence[Cause]) -> list[Cause]:
 
 
 def with_weak(causes: Sequence[Cause], weak: Sequence[Cause]) -> list[Cause]:
-    """Causes, and before those of which none is certain what pictures show that costs accuracy."""
+    """Causes; where none is certain, first what pictures show that costs accuracy."""
     first = bool(causes) and causes[0].level is Level.WRONG
     return [*causes, *weak] if first else [*weak, *causes]
 
 
 def rivals_text(rivals: tuple[str, ...]) -> str:
-    """What cannot be told apart, for the middle of a line; empty if nothing is."""
+    """The causes that remain possible, for the middle of a line; empty if none."""
     if not rivals:
         return ""
     each = [in_words(*rival.split(" of ", 1)) for rival in rivals]

@@ -66,7 +66,7 @@ class Diagnosis:
 
     @property
     def doubtful(self) -> bool:
-        """Whether balls that were followed show more than its causes, of which none is certain."""
+        """Whether balls that were followed show more than its causes, all uncertain."""
         return bool(self.causes) and not self.wrong and self.left > _WELL_EXPLAINED
 
 
@@ -75,8 +75,8 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
     if evidence is None:
         return Diagnosis()
     found, misfit, fit = explain(evidence)
-    told = _without_consequences([one for one in found if _matters(evidence, one)])
-    causes = significant(_cause(evidence, one, squares) for one in told)
+    reported = _without_consequences([one for one in found if _matters(evidence, one)])
+    causes = significant(_cause(evidence, one, squares) for one in reported)
     if len(np.unique(evidence.views)) == 2:
         causes = _of_two(evidence, causes)
     left = 0.0 if fit is None else fit.left
@@ -177,7 +177,7 @@ def _unknown(camera: str | None, others: Sequence[Cause]) -> Cause:
 
 
 def _matters(evidence: Evidence, one: Explanation) -> bool:
-    """Whether it is large enough to be told."""
+    """Whether it is large enough to be reported."""
     if one.hypothesis.word is Word.DRIFT:
         names = [camera.name for camera in evidence.cameras]
         lens = evidence.cameras[names.index(one.hypothesis.of)].intrinsics

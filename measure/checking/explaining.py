@@ -55,7 +55,7 @@ _WHOLE = 0.2  # By which a mistake that holds or does not may seem to hold by mo
 
 
 class Amount(NamedTuple):
-    """What a hypothesis is off by, of which its parameters may say several: the surest."""
+    """The surest of the amounts, one per parameter, that a hypothesis is off by."""
 
     what: str  # "turn", "shift" or "roll" of a moved camera; "rate" of what drifts; else empty
     size: float
@@ -76,7 +76,7 @@ class Fit:
     common: Floats  # (m,) and what all pictures err by alike, in px: of outlines, and of places (2)
     poses: RigidTransform
     cost: float  # the robust sum of squares
-    left: float  # its mean, in stated variances, of which one view counts up to so much
+    left: float  # its mean, in stated variances; one view counts up to so much
     covariance: Floats  # (q, q) by noise, constant biases, and between parts of the recording
     freedom: int
     amount: Amount  # what is off with the last hypothesis
@@ -268,7 +268,7 @@ class _System(NamedTuple):
         return _Sums(basis.T @ by_basis, by_basis[self.nuisance], basis.T @ right)
 
     def of_profile(self, basis: Floats, profile: Floats) -> _Sums:
-        """Of one of which so much of each parameter holds (k, q) at each instant."""
+        """Of one with so much of each parameter (k, q) at each instant."""
         by_basis = (self.normal @ basis) * profile[:, None, :]
         own = np.einsum("pi,kpj,ki->ij", basis, by_basis, profile, optimize=True)
         right = np.sum(self.right @ basis * profile, axis=0)
@@ -345,7 +345,7 @@ class _Normal(NamedTuple):
 
 
 def _huber(lengths: Floats) -> float:
-    """The sum of squares, of which those far out count by their lengths."""
+    """The sum of squares; those far out count by their lengths."""
     inside = np.minimum(lengths, _HUBER_SIGMAS)
     return float(np.sum(inside * (2 * lengths - inside)))
 
@@ -447,7 +447,7 @@ def _amount(
 
 
 def _parts(evidence: Evidence, poses: RigidTransform, one: Hypothesis) -> dict[str, Floats]:
-    """What may be said of a hypothesis: its parts (s, q) by its parameters."""
+    """The amounts of a hypothesis: its parts (s, q) by its parameters."""
     eye = np.eye(one.basis.shape[1])
     if one.drifts:
         return {"rate": eye[len(eye) // 2 :]}

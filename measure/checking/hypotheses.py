@@ -32,7 +32,7 @@ MIDWAY = {Word.CLOCK: Word.CLOCK_STEP, Word.MOVED: Word.MOVED_AT, Word.ZOOM: Wor
 _IN_LINE_MM = 1e-3
 _SLOW_S = 10.0  # Of a recording that may show that a camera drifts
 _SHOWS_MM = 0.1  # By which a mistake in the body file moves a ball at least that pictures show
-_PERMUTED = 4  # Balls of which every order is tried; of more, exchanges of two
+_PERMUTED = 4  # Every order of so many balls is tried; of more, exchanges of two
 WHOLE = (Word.EXCHANGED_BALLS, Word.MIRRORED)
 """Mistakes in the body file that hold or do not: their parameter is 1 or 0."""
 LARGEST = {Word.ROLLING: 0.1, Word.ZOOM: 0.7, Word.RADIUS: 0.7, Word.SCALE: 1.0, Word.PLACE: 100.0}

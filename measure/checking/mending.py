@@ -36,7 +36,7 @@ from measure.model import Camera
 from measure.session import JOINT_COVARIANCE, CameraSource, SessionParts
 
 _BLOCKS = 15
-"""Parts of a recording of which every third is kept out of an estimate."""
+"""Parts of a recording; every third is kept out of an estimate."""
 LATER = "-later"  # Behind the name of a camera from the instant on at which it was touched
 
 

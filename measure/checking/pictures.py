@@ -361,7 +361,7 @@ def _saturated(pixels: Bytes, ball: Detection) -> Bools:
 
 
 def woven_causes(names: Sequence[str], count: int) -> list[Cause]:
-    """Cameras, of so many, of which many pictures are combed."""
+    """Cameras, of so many, with many combed pictures."""
     if not names:
         return []
     text = f"pictures of {', '.join(names)} are woven of two instants (edges look like combs)"
@@ -383,7 +383,7 @@ def smear_causes(smear: Smear | None, count: int) -> list[Cause]:
 
 
 def told_causes(doubts: Sequence[str], count: int) -> list[Cause]:
-    """Woven and blurred pictures of which doubts of measurements tell, of so many cameras."""
+    """Woven and blurred pictures that measurements flag, of so many cameras."""
     return woven_causes(woven_cameras(doubts), count) + smear_causes(smear_in(doubts), count)
 
 
@@ -407,8 +407,8 @@ class ColorlessCount:
             Finding(
                 Level.WRONG,
                 "colour",
-                f"{name}: {grey} of {self._seen[name]} pictures are grey: balls are told by their "
-                "colours, so this camera sees none; record in colour",
+                f"{name}: {grey} of {self._seen[name]} pictures are grey: colours identify balls, "
+                "so this camera sees none; record in colour",
             )
             for name, grey in self._colorless.items()
             if grey

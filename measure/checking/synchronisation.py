@@ -76,7 +76,7 @@ class BallTracks:
 
 
 def synchronise(tracks: Sequence[BallTracks], largest_s: float, step_s: float) -> dict[str, float]:
-    """Find what to add to each camera's stamps; those of which it is not certain are left out.
+    """Find what to add to each camera's stamps; uncertain ones are left out.
 
     The two cameras that tell most are brought together first, then each time the one that tells
     most, against all before it. Only differences are observable, `largest_s` at most: the median of

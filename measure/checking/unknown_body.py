@@ -1,4 +1,4 @@
-"""The layout of a body of which only a ball's size is known, from balls seen in a recording.
+"""The layout of a body with only a ball's size known, from balls seen in a recording.
 
 Balls are searched by the common colours and located where the rays of several cameras intersect.
 What keeps its distances while it moves is a body; its shape follows from them (classical
@@ -126,7 +126,7 @@ def find_layout(frames: Sequence[Mapping[str, SeenBall]], body: Body, *, pick: b
     Args:
         frames: balls by name, frame set by frame set.
         body: their colours and radii; its layout is not used.
-        pick: whether names are colours that overlap, of which the best is meant; else all balls.
+        pick: whether names are overlapping colours and the best is meant; else all balls.
     """
     names = _distinct(frames, body) if pick else list(body.names)
     often = max(_FEWEST_FRAMES, _LEAST_SHARE * len(frames))
@@ -216,7 +216,7 @@ def _apart(frames: Sequence[Mapping[str, SeenBall]], a: str, b: str) -> tuple[fl
 def _rigid(
     frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], body: Body
 ) -> tuple[str, ...]:
-    """The largest group of balls of which every two stay as far apart; the steadiest of several."""
+    """The largest group of balls with constant distances; the steadiest of several."""
     scatter = {pair: _apart(frames, *pair)[1] for pair in combinations(names, 2)}
     for size in range(len(names), 2, -1):
         groups = [
@@ -233,8 +233,10 @@ def _check_size(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], 
     """Refuse a size that the outlines contradict, at distances by the calibration's scale."""
     seen = [f[name] for f in frames for name in names if name in f]
     sd = np.median([ball.radius_sd_mm for ball in seen]) / body.radii[0] / np.sqrt(len(seen))
-    if told := wrong_size(frames, body, SIGNIFICANT_SIGMAS * float(np.hypot(sd, _LEAST_SIZE_SD))):
-        raise SessionError(f"--radius-mm {body.radii[0]:g}: {told}")
+    if problem := wrong_size(
+        frames, body, SIGNIFICANT_SIGMAS * float(np.hypot(sd, _LEAST_SIZE_SD))
+    ):
+        raise SessionError(f"--radius-mm {body.radii[0]:g}: {problem}")
 
 
 def wrong_size(

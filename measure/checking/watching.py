@@ -18,7 +18,7 @@ from measure.model import Body, Camera
 
 EVERY_S = 15.0
 """Between two looks, which cost 0.3 s of a core each."""
-_WINDOW = 300  # Latest frame sets, of which some, evenly spread, are looked at
+_WINDOW = 300  # Latest frame sets; some, evenly spread, are looked at
 
 
 class RigWatch:

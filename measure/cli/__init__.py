@@ -1,4 +1,4 @@
-"""The command line: one file a sub-command, each of which parses, calls one function and prints.
+"""The command line: one file per sub-command. Each parses, calls one function and prints.
 
 `measure/cli/NAME.py` holds a function (or a cyclopts App) called NAME. Its docstring is its help,
 its parameters are the arguments::

@@ -25,7 +25,7 @@ CalibrationFormat = Annotated[str, Parameter(name="--format")]
 """Types of options that several commands have."""
 
 UNBELIEVABLE = 3
-"""Exit code of `check`, `calibrate` and `accept` where they find what must not be believed."""
+"""Exit code of `check`, `calibrate` and `accept` where they find something wrong."""
 _LINE_EVERY_S = 5.0
 
 
@@ -150,16 +150,16 @@ class ProgressLines:
         self._pace.note(done, total, now)
         if now - self._last >= _LINE_EVERY_S:
             self._last = now
-            told = _so_far(self._pace, self._unit, now)
-            print(f"{self._label}: {told}", file=self._out, flush=True)
+            text = _so_far(self._pace, self._unit, now)
+            print(f"{self._label}: {text}", file=self._out, flush=True)
 
 
 def _so_far(pace: ProgressClock, unit: str, now_s: float) -> str:
     """How many are done of how many, if any is or that is known, and the clock."""
     if not pace.done and pace.total is None:
-        return pace.told(now_s)
+        return pace.text(now_s)
     of = "" if pace.total is None else f"/{pace.total}"
-    return f"{pace.done}{of} {unit}, {pace.told(now_s)}"
+    return f"{pace.done}{of} {unit}, {pace.text(now_s)}"
 
 
 def _cell(value: object) -> str:

@@ -64,8 +64,8 @@ def detect(
     """Show what the detector sees in single pictures.
 
     No recording is needed, and no calibration: the focal length is found from the outlines of the
-    balls, or else taken from the picture's Exif tags or assumed, and it is said which. The whole
-    picture is searched for balls of 7 px radius and more, unless it is said where a ball is
+    balls, taken from the picture's Exif tags, or assumed; the command prints which. The whole
+    picture is searched for balls of 7 px radius and more, unless you state where a ball is
     expected. Pixels are counted as a viewer shows the picture.
 
     Args:
@@ -105,7 +105,7 @@ _ASSUMED = {
     api.FocalFrom.TAGS: "from the picture's Exif tags",
     api.FocalFrom.USUAL: "an ordinary webcam's, assumed: --focal-px or --calibration say it",
 }
-"""What is said of a focal length that was not given."""
+"""The note on a focal length that was not given."""
 
 
 def _values(one: SeenPicture) -> dict[str, object]:

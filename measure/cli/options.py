@@ -28,8 +28,8 @@ class ProfileOptions:
     Attributes:
         profile: `precise`, `paper`, or the path of a profile of your own (.toml).
         detector: a detector plugin to use instead of the profile's.
-        triangulator: likewise.
-        solver: likewise, a pose solver.
+        triangulator: name of a triangulator.
+        solver: name of a pose solver.
         set_: a setting as STAGE.NAME=VALUE, such as detector.rays=128; may be repeated.
     """
 

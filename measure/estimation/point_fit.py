@@ -135,7 +135,7 @@ def _distance(point: Floats, origin: Floats, direction: Floats) -> float:
 def refine_point(
     rig: RigRows, pixels: Floats, shifts: Floats, noise: Floats, start: Floats
 ) -> tuple[Floats, Floats, Floats, float, bool]:
-    """Gauss-Newton from `start` with fixed weights; what is not told here as in `fit_point_rows`.
+    """Gauss-Newton from `start` with fixed weights; everything else as in `fit_point_rows`.
 
     Args:
         noise: (n, 2, 2) total covariances of the pixels.

@@ -67,7 +67,7 @@ def invert_scaled(matrix: Floats, out: Floats) -> float:
     """Fill the inverse (k, k) of a normal matrix whose unknowns have units of their own.
 
     Args:
-        matrix: (k, k), of which the lower half counts; changed.
+        matrix: (k, k); its lower half counts; changed.
         out: (k, k) filled; zero if the equations leave an unknown open.
 
     Returns:

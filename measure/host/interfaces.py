@@ -176,7 +176,7 @@ class PoseSolver(Plugin):
             positions: at most one per ball.
             detections: every effective detection; a solver may fit these and skip the positions.
             cameras: by name.
-            time_s: the instant the pose shall hold for; each detection has its own `time_s`.
+            time_s: the instant of the pose; each detection has its own `time_s`.
             prior: where the body is expected and how it moves, if known.
 
         Returns:

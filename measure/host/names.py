@@ -12,7 +12,7 @@ _LETTERS = 60  # ROS advises short names; what is longer is cut, and numbered wh
 def plain_name(name: str, nothing: str = "body") -> str:
     """A name of ASCII letters, digits and `_`, which begins with a letter.
 
-    Accents are dropped, all else becomes `_`; `nothing` stands for a name of which nothing is
+    Accents are dropped, all else becomes `_`; `nothing` stands for a name without anything
     left, and before one that begins with a digit.
     """
     plain = unicodedata.normalize("NFKD", name.replace("ß", "ss")).encode("ascii", "ignore")

@@ -46,7 +46,7 @@ class SentPose:
 
 @dataclass(frozen=True, slots=True)
 class EventMark:
-    """An event that the lab told of while a run was measured."""
+    """An event that the lab reported while a run was measured."""
 
     time_s: float  # when, on the run's clock
     marked_s: float  # the same in seconds since 1970, as `SentPose.exposed_s`
@@ -74,7 +74,7 @@ class SentRun:
 class Sink(Plugin):
     """Sends poses on; used by one thread of its own, which may wait for nobody but itself.
 
-    What it raises is told in one line; it is then closed, and opened again a second later.
+    An exception is reported in one line; the sink is then closed, and opened again a second later.
 
     Attributes:
         form: how its address is typed after `--send`, such as `udp://HOST:PORT`.

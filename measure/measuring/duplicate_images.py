@@ -44,7 +44,7 @@ class Duplicates:
     """The duplicates of a frame set."""
 
     repeated: tuple[str, ...]  # cameras whose image is the same as in the frame set before
-    shared: tuple[tuple[str, str], ...]  # pairs of cameras of which both show one exposure
+    shared: tuple[tuple[str, str], ...]  # pairs of cameras that show one exposure
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class NewImages:
 
 
 def left_out(reasons: Iterable[str]) -> Iterator[tuple[str, str]]:
-    """Cameras whose images are left out, by a measurement's doubts: of whom they are, "" if old."""
+    """Cameras whose images are left out, by a measurement's doubts: whose they are, "" if old."""
     for match in filter(None, map(_LEFT_OUT.fullmatch, reasons)):
         yield match[1] or match[3], match[2] or ""
 

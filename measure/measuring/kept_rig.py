@@ -70,7 +70,7 @@ class Keeper(Protocol):
     def looks(
         self, frame_set: FrameSet, measured: Measurement, motion: Motion | None
     ) -> Mapping[str, Sequence[Expectation]]:
-        """Cameras to look at besides, and where the balls are expected; all over if nowhere."""
+        """More cameras to look at, and where the balls are expected; all over if nowhere."""
 
     def note(self, measured: Measurement, found: Mapping[str, Sequence[Detection]]) -> Measurement:
         """Take what was found there; gives the measurement with the views of cameras left out."""

@@ -21,7 +21,7 @@ from measure.measuring.woven_images import BallStep
 from measure.model import Detection
 
 _LEAST_PX = 7.0
-"""A shorter blur is not told: shading and compression widen edges unevenly by up to 6 px."""
+"""A shorter blur is not reported: shading and compression widen edges unevenly by up to 6 px."""
 _SECTORS, _RAYS, _FEWEST = 16, 4, 10
 """Parts of an outline, of so many rays each, and how many must stand out."""
 _RISE_PX = 4  # Over which a slope is measured: noise makes the steepest of shorter ones too steep
@@ -79,7 +79,7 @@ class SmearedImages:
         return Smear(tuple(sorted(known)), *max(known.values()))
 
     def doubt(self, used: Collection[str]) -> tuple[str, bool]:
-        """What is to be said of a pose that rests on some cameras, and whether that flags it."""
+        """The note on a pose that rests on some cameras, and whether that flags it."""
         smear = self.smear
         if smear is None or not {*used} & {*smear.cameras}:
             return "", False

@@ -1,4 +1,4 @@
-"""Several bodies in the same pictures: each is tracked by itself, and none is taken for another."""
+"""Several bodies in the same pictures: each is tracked by itself and confused with none."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from measure.metrology.poses import (
 )
 
 SHORTEST_S = 0.5
-_FEWEST = 5  # Poses, of which at least this many make a window
+_FEWEST = 5  # Poses: at least this many make a window
 _STILL_RATIO = 4.0  # Variance of a window over that of the quietest, up to which it is still
 _LEAST_SHARE = 0.05**2
 """Poses that scatter by less than a twentieth of what is stated count as that quiet."""
@@ -78,10 +78,10 @@ class Rests:
     def rest(self, number: int) -> Rest:
         """A rest by its number, which counts from 0; DegenerateGeometryError: there is none."""
         if not 0 <= number < len(self):
-            raise DegenerateGeometryError(f"there is no rest {number}: {self.told()}")
+            raise DegenerateGeometryError(f"there is no rest {number}: {self.listed()}")
         return self.rests[number]
 
-    def told(self) -> str:
+    def listed(self) -> str:
         """How many rests there are, in words."""
         if self.rests:
             last = len(self) - 1

@@ -97,8 +97,8 @@ class BallColor:
 
         The hue's range is the shortest arc that holds the central 90 % of the samples by
         saturation weight, widened by `hue_margin`; saturation and value run from the samples' 5 %
-        quantile less `level_margin` up. Samples without colour (white, grey, black) are told by
-        their brightness instead.
+        quantile less `level_margin` up. Samples without colour (white, grey, black) are recognised
+        by their brightness instead.
 
         Raises:
             ValueError: there are no samples.

@@ -125,7 +125,7 @@ class Pose:
     balls: tuple[str, ...]  # names of the balls used
     flags: tuple[str, ...] = ()  # reasons to doubt it, empty if none
     # by name, derivatives (6, 18) of the pose by a camera's pose and intrinsics (see
-    # `Camera.covariance`), of which `covariance` holds the share; None if not known.
+    # `Camera.covariance`); `covariance` holds the share of it; None if not known.
     by_camera: Mapping[str, Floats] | None = None
 
     @property

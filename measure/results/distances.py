@@ -38,7 +38,7 @@ class BallDistance:
     nominal_mm: float  # by the body file; NaN of bodies
     measured_mm: Floats  # (n,) in every frame set; NaN where one of them has no position
     # (n,) standard deviations by the positions' covariances, which hold what all frame sets err by
-    # alike; NaN likewise.
+    # alike; so is NaN.
     sd_mm: Floats
 
     @property
@@ -110,7 +110,7 @@ def rig_findings(
 ) -> tuple[Finding, ...]:
     """What may be wrong with the rig, the likeliest first; by a run's tables.
 
-    Nothing of clocks and places of cameras of which the session's notes say what is wrong.
+    Nothing of clocks and places of cameras that the session's notes blame.
     """
     seen, sightings = _sightings(detections, poses)
     enough = len(sightings) >= MIN_FRAME_SETS

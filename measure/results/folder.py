@@ -38,10 +38,10 @@ class FolderLock:
         self._path = folder / LOCK_FILE
         self._descriptor = self._locked()
         # The first byte is what some systems lock, for readers too.
-        told = f"\n{json.dumps(_this_process())}\n".encode()
-        with suppress(OSError):  # a full disk is told by what needs the room
+        mine = f"\n{json.dumps(_this_process())}\n".encode()
+        with suppress(OSError):  # a full disk is reported by what needs the room
             os.ftruncate(self._descriptor, 0)
-            os.write(self._descriptor, told)
+            os.write(self._descriptor, mine)
 
     def release(self) -> None:
         """Give it up; a second time does no harm."""
@@ -97,7 +97,7 @@ def check_run_folder(folder: Path, resume: bool | None, overwrite: bool) -> None
 
 
 def _this_process() -> dict[str, str | int]:
-    """What is told to those who are kept out."""
+    """The message to those who are kept out."""
     # Of the command no more than its name: what follows may hold a camera's password.
     program = [Path(word).name for word in sys.argv[:1]]
     words = [*program, *(word for word in sys.argv[1:2] if word.isalpha())]
@@ -114,8 +114,8 @@ def _holder(path: Path) -> str:
     try:
         with path.open("rb") as file:
             file.seek(1)
-            told = json.load(file)
-        return f"process {told['pid']} on {told['host']} ({told['command']}, since {told['since']})"
+            its = json.load(file)
+        return f"process {its['pid']} on {its['host']} ({its['command']}, since {its['since']})"
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"
 

@@ -150,7 +150,7 @@ def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
 def read_begun_table(folder: Path, name: str, schema: pa.Schema) -> tuple[pa.Table, int | None]:
     """`read_table`, and how many frame sets have all their rows in it; None where it is not said.
 
-    It is said of the stream of a run that is not finished: its last rows may be lost.
+    It is true of the stream of a run that is not finished: its last rows may be lost.
     """
     finished, stream = folder / f"{name}.parquet", folder / f"{name}.arrows"
     where, frame_sets = stream if stream.exists() else finished, None

@@ -13,7 +13,7 @@ def counted(rows: Iterable[Sequence[str]], names: Iterable[str]) -> dict[str, in
     """How many rows give each kind of reason, the commonest first.
 
     Reasons are of one kind if they differ by numbers or by names of balls and cameras alone. A kind
-    is told with the range of its numbers ("12-15 px") and all of its names.
+    is reported with the range of its numbers ("12-15 px") and all of its names.
 
     Args:
         rows: reasons of each row.
@@ -23,11 +23,11 @@ def counted(rows: Iterable[Sequence[str]], names: Iterable[str]) -> dict[str, in
     kinds: dict[tuple[str, ...], list[list[str]]] = {}
     counts: dict[tuple[str, ...], int] = {}
     for reasons in rows:
-        told = {}
+        kept = {}
         for reason in reasons:
             pieces = varying.split(reason)  # fixed words at even places, what varies at odd ones
-            told[tuple(pieces[::2])] = pieces[1::2]
-        for kind, given in told.items():
+            kept[tuple(pieces[::2])] = pieces[1::2]
+        for kind, given in kept.items():
             kinds.setdefault(kind, []).append(given)
             counts[kind] = counts.get(kind, 0) + 1
     order = sorted(counts, key=lambda kind: -counts[kind])
@@ -44,8 +44,8 @@ def _varying(names: Iterable[str]) -> re.Pattern[str]:
 
 def _sentence(fixed: Sequence[str], given: Sequence[Sequence[str]]) -> str:
     """The words of a kind with, at each varying place, what its reasons have there."""
-    told = [_together(values) for values in zip(*given, strict=True)]
-    return "".join(piece for pair in zip(fixed, [*told, ""], strict=True) for piece in pair)
+    kept = [_together(values) for values in zip(*given, strict=True)]
+    return "".join(piece for pair in zip(fixed, [*kept, ""], strict=True) for piece in pair)
 
 
 def _together(values: Sequence[str]) -> str:

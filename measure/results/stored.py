@@ -29,7 +29,7 @@ def read_tables(
     begun_only: bool = False,
     relative: bool = False,
 ) -> dict[str, pa.Table]:
-    """The rows of all frame sets of which all were written; a kill may leave some of one more.
+    """The rows of all complete frame sets; a kill may leave some of one more.
 
     A power cut may take the last rows of each table. Tables of a run that was only begun may be
     missing. RunError: one is missing or cannot be read, or holds what no run of these bodies and

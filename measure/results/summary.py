@@ -28,7 +28,7 @@ WHICH_ACCURACY = {
     ),
     "measured": (
         "these are differences from the truth; what poses state counts all that calibration, body "
-        "and light may err by, of which one recording shows one case"
+        "and light may err by; one recording shows one case of it"
     ),
 }
 """Which accuracy a command tells: three questions, so three figures for one rig."""
@@ -45,8 +45,8 @@ class Summary:
     skipped: int  # not tried, while tracking restarts
     # median standard deviation of the position, of the unflagged poses; NaN without any.
     position_sd_mm: float
-    rotation_sd_deg: float  # likewise of the rotation
-    rms_px: float  # likewise the median reprojection error
+    rotation_sd_deg: float  # the same of the rotation
+    rms_px: float  # median reprojection error
     scale_sd: float  # standard deviation of the world's scale, which `position_sd_mm` is without
     # what that makes of the median distance from the world's origin.
     scale_sd_mm: float
@@ -192,7 +192,7 @@ def _about(body: str, note: str) -> str:
 
 
 def _idle(suspended: pa.Table, used: set[str]) -> tuple[str, ...]:
-    """A line for every camera of which no view was effective, where another's was."""
+    """A line for every camera without an effective view, where another had one."""
     reasons: dict[str, Counter[str]] = {}
     for row in suspended.select(["camera", "reason"]).to_pylist():
         reasons.setdefault(row["camera"], Counter())[row["reason"]] += 1

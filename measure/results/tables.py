@@ -68,7 +68,7 @@ SCHEMAS = {
 }
 """By table. `covariance` is the 6x6 of docs/conventions.md, row by row: mm^2, mm rad, rad^2."""
 
-BODY = "body"  # The column that a run of several bodies has besides, in every table
+BODY = "body"  # The additional column of a run of several bodies, in every table
 
 CSV_COLUMNS = (
     *("frame", "time_s", *PLACE, "position_sd_mm", "rotation_sd_deg", "rms_px"),

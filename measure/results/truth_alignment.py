@@ -31,7 +31,7 @@ _MAX_LEFT, _APART_S = 0.2, 0.05
 rival if it leaves less than so many times as much."""
 FAR_MM, FAR_DEG = 30.0, 20.0
 _FAR_MIRRORED_MM, _MIRROR_RATIO = 1.0, 10.0
-"""A truth is taken for left-handed if it is farther off, and so many times as far as mirrored."""
+"""A truth counts as left-handed if it is farther off, and so many times as far as mirrored."""
 _MIRROR = np.diag([1.0, -1.0, 1.0])
 _LEFT_HANDED = [
     turn

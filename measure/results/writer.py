@@ -57,7 +57,7 @@ class RunWriter:
         folder: new, empty, or (with `resume` or `overwrite`) an earlier run.
         provenance: what the run is made from.
         bodies: copied into the folder, so that the run can be looked at without its session.
-        cameras: likewise.
+        cameras: in the same order.
         resume: go on with an earlier run of the same.
         overwrite: throw an earlier run away.
         reference: name of the body that the others are written relative to; empty without one.

@@ -154,14 +154,14 @@ class CalibrationModel(FileModel):
 
 
 class LensModel(CameraModel):
-    """One `[[cameras]]` table of which only the lens is used: the pose may be absent."""
+    """One `[[cameras]]` table; only its lens is used: the pose may be absent."""
 
     quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] = (1.0, 0.0, 0.0, 0.0)
     translation_mm: Triple = (0.0, 0.0, 0.0)
 
 
 class LensesModel(CalibrationModel):
-    """A whole `calibration.toml` of which only the lenses are used."""
+    """A whole `calibration.toml`; only its lenses are used."""
 
     cameras: Annotated[Sequence[LensModel], Field(min_length=1)]
 

@@ -39,7 +39,7 @@ METRES_SPREAD_MM = 3.0
 def read_calibration(
     path: Path | str, unit: Unit | None = None, pictures: Sizes | None = None
 ) -> calibration_file.Calibration:
-    """Read a calibration: ours or another program's, told apart by content.
+    """Read a calibration: ours or another program's, distinguished by content.
 
     For files of other programs: the unit of their translations, if they state none; and names of
     the cameras that are wanted, with the sizes of their pictures, if they number their cameras or

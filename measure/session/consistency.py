@@ -16,7 +16,7 @@ from measure.session.calibration_file import Calibration
 
 _MOST_BODIES = 6
 _ALIKE_MM = 3.0
-"""Bodies whose balls can be laid on each other this closely are told apart by colours alone."""
+"""Bodies whose balls can be laid on each other this closely are distinguished by colours alone."""
 _NO_NAME = set('/\\:,"\n\r\t')  # A body's name stands in file names, entity paths and tables
 
 
@@ -43,9 +43,9 @@ def check_bodies(bodies: Sequence[Body], reference: str, source: str) -> None:
     for one, other in combinations(bodies, 2):
         if may_be_confused(one, other):
             raise SessionError(
-                f"{source}: bodies '{one.name}' and '{other.name}' cannot be told apart: balls of "
-                f"the same colours lie at the same places within {_ALIKE_MM:g} mm: change a "
-                "colour, or move a ball of one of them"
+                f"{source}: bodies '{one.name}' and '{other.name}' cannot be distinguished: "
+                f"balls of the same colours lie at the same places within {_ALIKE_MM:g} mm; "
+                "change a colour, or move a ball of one of them"
             )
 
 

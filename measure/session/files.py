@@ -32,7 +32,7 @@ _LONGEST_NAME_BYTES = 200
 _DEVICE = re.compile(
     r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³]) *(\..*)?", re.IGNORECASE
 )
-"""What Windows takes for a device in every folder, whatever the ending."""
+"""Names of devices in every folder of Windows, whatever the ending."""
 
 
 def check_name(name: str) -> str:

@@ -1,7 +1,7 @@
 """Files of other programs: packages beside this one read and write them.
 
-Each declares a `Format` by an entry point of the group `measure.formats`. Files are told apart by
-content: a reader returns None for what is not its own, and only then the next one is asked.
+Each declares a `Format` by an entry point of the group `measure.formats`. Content distinguishes
+files: a reader returns None for what is not its own, and only then the next one is asked.
 """
 
 from __future__ import annotations

@@ -188,7 +188,7 @@ def picture_form(data: bytes, where: str) -> tuple[tuple[int, int], int | None]:
     pixels = _decoded(data, where, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 2:
         raise SessionError(
-            f"{where}: the picture has one channel, but balls are told apart by colour: have the "
+            f"{where}: the picture has one channel, but colour distinguishes balls: have the "
             "camera give colour; what a colour sensor gives raw (Bayer) must be demosaiced first"
         )
     largest = None if pixels.dtype == np.uint8 else int(pixels.max(initial=0))
@@ -200,7 +200,7 @@ def held_bits(largest: int) -> int:
     return next(bits for bits in (8, 10, 12, 14, 16) if largest >> bits == 0)
 
 
-_MOST_SCANS = 100  # Of a progressive JPEG, each of which is a pass over the whole picture
+_MOST_SCANS = 100  # Of a progressive JPEG: each is a pass over the whole picture
 _WINDOW_BYTES, _SEEN_BYTES, _FEW_VALUES = 4096, 256, 100
 """Of compressed data so many bytes of each window are looked at. Those of a picture have about 160
 different values; where they have fewer, they may unpack to a thousand times as much."""

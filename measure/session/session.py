@@ -54,7 +54,7 @@ def pair_nearest(times_s: Sequence[Floats]) -> Pairing:
 
 
 def seldom_paired(names: Sequence[str], counts: Sequence[int], pairing: Pairing) -> dict[str, str]:
-    """A line for every camera of which most pictures are left over while most sets lack one.
+    """A line for every camera with most pictures left over while most sets lack one.
 
     A fast camera leaves pictures over and a slow one lacks them; both at once mean another clock.
     """

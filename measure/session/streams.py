@@ -182,7 +182,7 @@ _PROBED = 8
 
 
 class ImageStream(Stream):
-    """Picture files, one a frame."""
+    """Picture files, one per frame."""
 
     def __init__(
         self,
@@ -364,7 +364,7 @@ def _count_message(name: str, source: str, count: int, path: Path, stamps: Stamp
     why = f"{odd} has no frame number in its name" if odd else "names repeat frame numbers"
     return (
         f"camera '{name}': {source} has {count} images but {path} has {len(stamps.frames)} rows; "
-        f"which belong together cannot be told, because {why}"
+        f"it is unknown which belong together, because {why}"
     )
 
 

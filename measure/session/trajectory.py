@@ -116,8 +116,8 @@ def read_trajectory(
 
     Our CSV (`time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz`: truth.csv, poses.csv; rows without a pose are
     passed over; with a column `body` it holds several bodies), TUM (`time_s x y z qx qy qz qw`,
-    metres), or another program's file (`Format.read_truth`), told apart by content. Rows in which
-    a tracker had lost the body are left out, and noted.
+    metres), or another program's file (`Format.read_truth`), found by content. Rows in which a
+    tracker had lost the body are left out, and noted.
 
     Args:
         path: the file, or `bag#topic`.

@@ -43,7 +43,7 @@ _RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpegvideo", "rawvideo")
 class VideoIndex:
     """Times and form of a video, without decoding."""
 
-    stamps: list[int]  # presentation times in units of the time base, increasing, one a frame
+    stamps: list[int]  # presentation times in units of the time base, increasing, one per frame
     key_stamps: list[int]  # those of the frames that decode by themselves, increasing
     time_base: Fraction  # seconds a unit
     size_wh: tuple[int, int]  # width and height in px
@@ -253,8 +253,8 @@ _OLD_FIRST = re.compile(r"GOPR(?P<video>[0-9]{4})", re.IGNORECASE)
 def chapters(path: Path) -> list[Path]:
     """The files of an action camera's recording that begins with this one, in order.
 
-    GoPro's cameras begin a new file every few minutes: GH010001.MP4, GH020001.MP4 (GX, GL and GS
-    likewise), or GOPR0001.MP4, GP010001.MP4. Of any other file it is that alone. SessionError: a
+    GoPro's cameras begin a new file every few minutes: GH010001.MP4, GH020001.MP4 (or GX, GL,
+    GS), or GOPR0001.MP4, GP010001.MP4. Of any other file it is that alone. SessionError: a
     chapter in between is missing.
     """
     first, pattern, number = _CHAPTER.fullmatch(path.stem), _CHAPTER, 1

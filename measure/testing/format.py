@@ -81,7 +81,7 @@ class FormatConformance:
                 return
             rig = one.read_calibration(path, path.read_text(encoding="utf-8"))
         if rig is None:
-            raise CalibrationError("what it writes it does not take for its own")
+            raise CalibrationError("it does not recognise what it writes")
         again = rig.calibration(path, None, {c.name: c.intrinsics.size_wh for c in given.cameras})
         for before, after in zip(given.cameras, again.cameras, strict=True):
             off = before.world_from_camera.difference(after.world_from_camera)

@@ -123,7 +123,7 @@ class FrameSetBatch:
         )
 
     def scalars(self, entity: str, values: Floats, rows: Bools | None = None) -> None:
-        """Send numbers, one a row; NaN leaves a gap in the plot."""
+        """Send numbers, one per row; NaN leaves a gap in the plot."""
         self.send(entity, rr.Scalars.columns(scalars=values), rows=rows)
 
     def _on_timelines(self, rows: Bools) -> list[rr.TimeColumn]:

@@ -176,7 +176,7 @@ class BagStream(Stream):
         size_wh, is_grey = self._form(topic.first, f"{topic.where}{source}")
         if is_grey:
             notes.append(
-                f"{topic.where}{topic.name}: its pictures are grey, but balls are told apart by "
+                f"{topic.where}{topic.name}: its pictures are grey, but balls are distinguished by "
                 "colour"
             )
         frames = np.arange(len(times_s)) if stamps is None else stamps.frames

@@ -112,8 +112,8 @@ class _Reader:
 
     def _message(self, raw: bytes, kind: str) -> Any:
         if raw[:1] == b"j":
-            told = json.loads(raw[1:])
-            values = {name: told[name] for name in _FIELDS[kind].values()}
+            metadata = json.loads(raw[1:])
+            values = {name: metadata[name] for name in _FIELDS[kind].values()}
             values["data"] = base64.b64decode(values["data"])
             stamp = values["timestamp"]
         else:

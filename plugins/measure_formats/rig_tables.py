@@ -33,7 +33,7 @@ _RMS = ("avg_reprojection_error", "error")
 _SIDES = (("1", "2"), ("_1", "_2"), ("_left", "_right"), ("_l", "_r"), ("l", "r"))
 """What ends the names of the two cameras of a stereo pair."""
 _MAX_TANGENTIAL = 0.02
-"""Largest tangential coefficient of a lens that is believed where a file names no lens model."""
+"""Largest tangential coefficient of a lens that is accepted where a file names no lens model."""
 _STEREO_MATRIX = ("m", *_MATRIX)
 
 

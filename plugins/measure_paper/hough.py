@@ -1,8 +1,8 @@
 """The paper's circle detector: Canny edges inside colour segments, Hough, colour check.
 
 Peng, Yang, Su, Hannaford (ICRA 2020), section II.C "Auto Hough Circle Detection" and its figure.
-The paper's weaknesses are kept: the outline is taken for a circle whose centre is the image of the
-ball's centre, and centres fall on whole pixels of the accumulator.
+The paper's weaknesses are kept: the outline is modelled as a circle whose centre is the image of
+the ball's centre, and centres fall on whole pixels of the accumulator.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from measure_paper._hough_steps import (
 )
 
 _SAME_COLOR_SHARE = 0.5
-"""Two colours of which one covers this share of the other cannot be told apart."""
+"""Two colours are indistinguishable where one covers this share of the other."""
 
 _FIRST_THRESHOLD = 24
 """Votes at which the bisection starts in a whole frame, where low thresholds are slow to try."""

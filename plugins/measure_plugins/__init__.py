@@ -1,1 +1,1 @@
-"""The built-in plugins: one a file, found by entry point like anybody's."""
+"""The built-in plugins: one per file, found by entry point like anybody's."""

@@ -137,5 +137,5 @@ def test_one_of_them_alone_and_a_run_that_goes_on(session, run, tmp_path, capsys
     again = tmp_path / "again.toml"
     again.write_text((session / "tool.toml").read_text().replace('"tool"', '"again"'))
     assert main([*twins, str(session / "tool.toml"), "--body", str(again)]) == 2
-    assert "'tool' and 'again' cannot be told apart" in capsys.readouterr().err
+    assert "'tool' and 'again' cannot be distinguished" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()

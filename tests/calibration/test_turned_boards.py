@@ -91,8 +91,8 @@ def _numbered(lens: LensCalibration, numbers: list[int]) -> LensCalibration:
 @pytest.mark.parametrize(
     ("first", "said"),
     [
-        (1, "taken for the one before it: another camera lost 1 at the beginning"),
-        (-2, "taken for the one 2 numbers after it: it lost 2 at the beginning"),
+        (1, "used as the one before it: another camera lost 1 at the beginning"),
+        (-2, "used as the one 2 numbers after it: it lost 2 at the beginning"),
     ],
 )
 def test_numbers_of_common_views_that_are_off_are_named(first: int, said: str) -> None:

@@ -36,13 +36,13 @@ def test_equal_layouts_in_other_colors_and_other_layouts_in_equal_colors_pass():
 
 @pytest.mark.parametrize("other", [body("base"), body("base", shifted(1.5))])
 def test_bodies_that_look_alike_are_refused_by_name(other):
-    with pytest.raises(SessionError, match="'tool' and 'base' cannot be told apart"):
+    with pytest.raises(SessionError, match="'tool' and 'base' cannot be distinguished"):
         check_bodies([body("tool"), other], "", "session.toml")
 
 
 def test_a_body_inside_a_larger_one_is_refused():
     turned = body("turned", PLACES | {"blue": (5.0, -30.0, 20.0)})
-    with pytest.raises(SessionError, match="cannot be told apart"):
+    with pytest.raises(SessionError, match="cannot be distinguished"):
         check_bodies([turned, body("tool")], "", "session.toml")
 
 
@@ -50,7 +50,7 @@ def test_reddish_twins_of_samples_are_alike():
     samples = BallColor.from_samples(np.array([[30, 30, 190], [32, 34, 200], [35, 36, 210]]))
     balls = list(body("base").balls)
     balls[2] = Ball("red", samples, balls[2].center_mm, 15.0)
-    with pytest.raises(SessionError, match="cannot be told apart"):
+    with pytest.raises(SessionError, match="cannot be distinguished"):
         check_bodies([body("tool"), Body("base", tuple(balls))], "", "session.toml")
 
 

@@ -1,6 +1,6 @@
 """The joint adjustment of cameras that only the waved body has located.
 
-It is that of refining, from a first calibration of which nothing is known: the first camera is
+It is that of refining, from a first calibration without prior knowledge: the first camera is
 held, for it is the world, and all others are free. At the end the covariance is that of the rig's
 shape, without the world's own place, turn and scale.
 """

@@ -23,7 +23,7 @@ from measure.model.camera import USUAL_FOCAL
 
 FOCAL_FACTORS = (1.0, 1.25, 1.55, 0.8, 1.95, 0.65)
 """Of the usual focal length (70 deg of view along the longer side): 94 deg to 39 deg."""
-_TRIED = 40  # Instants by which they are told from each other
+_TRIED = 40  # Instants by which they are distinguished
 _ASPECT_SD, _POINT_SD = 0.003, 0.02
 """Standard deviations: of the focal length's two numbers against each other, and of the principal
 point, as a share of the longer side."""

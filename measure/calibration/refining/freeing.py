@@ -69,14 +69,14 @@ def contradicted(
         )
     if found[0].explains > _MOST and found[0].hypothesis.word in _NO_REMEDY and not alone:
         cause = diagnose(evidence).causes[0]
-        told = f"refining would share out among all cameras that {cause.text}: {cause.remedy}"
-        raise CalibrationError(told)
+        message = f"refining would share out among all cameras that {cause.text}: {cause.remedy}"
+        raise CalibrationError(message)
     return ()
 
 
 @dataclass(frozen=True, eq=False)
 class FreedRig:
-    """Cameras of which some are free, as `refine_rig` takes them, and what that gave."""
+    """Cameras, some of them free, as `refine_rig` takes them, and what that gave."""
 
     names: tuple[str, ...]
     moved: bool  # whether their poses are free; else their lenses
@@ -158,7 +158,7 @@ def loosened(
 
 
 def zoom_prior(lens: Intrinsics, aspect_sd: float, point_sd_px: float) -> Floats:
-    """The covariance (12, 12) of a lens of which focal length and principal point are open.
+    """The covariance (12, 12) of a lens with free focal length and principal point.
 
     Args:
         aspect_sd: of its two focal lengths against each other, as a share.

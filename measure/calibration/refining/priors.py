@@ -137,7 +137,7 @@ class CameraPrior:
         joint: the covariance of all cameras together as the first calibration states it, or None:
             then the errors are of several kinds, and the variance of each kind is estimated.
         position: (p, p) with change @ position @ change the squared displacements, mm^2, of
-            cameras of which nothing is stated.
+            cameras without a statement.
         image: (p, p) the same of the misses in the workspace, px^2, as if three points were seen.
         stated: (p, p) information about each camera's pose, and about each lens, by itself.
     """

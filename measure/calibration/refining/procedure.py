@@ -84,8 +84,11 @@ def _disagreement(both: tuple[Refinement, Refinement]) -> float:
     """
     owned = [r.covariance - r.covariance @ np.linalg.solve(r.prior, r.covariance) for r in both]
     spread: Floats = owned[0] + owned[1]
-    told = np.diag(spread) > SINGULAR * np.diag(both[0].prior)  # of a camera held nothing is
-    spread, apart = spread[np.ix_(told, told)], (both[0].change - both[1].change)[told]
+    determined = np.diag(spread) > SINGULAR * np.diag(both[0].prior)  # of a camera held nothing is
+    spread, apart = (
+        spread[np.ix_(determined, determined)],
+        (both[0].change - both[1].change)[determined],
+    )
     scale = 1 / np.sqrt(np.diag(spread))
     shares, axes = np.linalg.eigh((spread + spread.T) / 2 * scale[:, None] * scale)
     apart = axes.T @ (apart * scale)
@@ -260,7 +263,7 @@ class AdjustedRig:
 
     recording: Recording
     refinement: Refinement
-    # one a camera, in order; empty if the frame sets are too far apart.
+    # one per camera, in order; empty if the frame sets are too far apart.
     clocks: tuple[CameraClock, ...]
     clocks_applied: bool  # whether their offsets were beyond doubt, and were used
     halves: Halves

@@ -98,7 +98,7 @@ def by_ball(
 def _candidates(
     detections: tuple[Detection, ...], cameras: Ints, balls: Sequence[Ball], rig: Rig
 ) -> Candidates:
-    """Stack detections, the cameras (n,) of which stand in the rig."""
+    """Stack detections whose cameras (n,) stand in the rig."""
     sizes = {ball.name: ball.radius_mm for ball in balls}
     radius_mm = np.array([sizes.get(d.ball, np.nan) for d in detections])
     radius_px = np.array([d.radius_px for d in detections])

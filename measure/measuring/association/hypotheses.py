@@ -38,7 +38,7 @@ def poses_from_triples(body: Body, points: Sequence[BallPoints], sigmas: float) 
 def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
     """Poses (m) of every two balls at the right distance, rotated about their line in steps.
 
-    For a body of which no two cameras see a third ball: one camera's view of it decides.
+    For a body whose third ball no two cameras see: one camera's view of it decides.
     """
     found = []
     for pair in combinations(range(len(body.balls)), 2):

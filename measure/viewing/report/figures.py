@@ -48,7 +48,7 @@ def blank_image(height: int, name: str, size_wh: tuple[int, int]) -> go.Figure:
 
 MAX_POINTS = 2000
 """Longer curves are thinned for drawing; extremes and gaps survive. They are drawn without WebGL,
-of which browsers grant a page only a few."""
+and browsers grant a page only a few."""
 
 ARROW_SCALE = 60.0  # How much residual arrows are magnified
 

@@ -44,7 +44,7 @@ def accept(
     Args:
         lengths: a table `from,to,length_mm` and perhaps `sd_mm`, between rests by their numbers,
             between two balls of the body by their names, or between the origins of two bodies by
-            theirs, one of which is the run's reference.
+            theirs; one is the run's reference.
         page: a report to write.
         body: the name of the body that rests, in a run of several.
 

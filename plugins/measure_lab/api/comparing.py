@@ -72,11 +72,11 @@ def compare_runs(first: Run, second: Run) -> Comparison:
 
 def _settings(first: Run, second: Run) -> dict[str, tuple[str, str]]:
     """What `run.toml` holds otherwise in the two, but for the time and for where files lie."""
-    told = [flat(run.provenance, "") for run in (first, second)]
+    settings = [flat(run.provenance, "") for run in (first, second)]
     return {
-        key.strip("."): (str(told[0].get(key, "unset")), str(told[1].get(key, "unset")))
-        for key in sorted({*told[0], *told[1]})
-        if told[0].get(key) != told[1].get(key) and not key.endswith((".started", ".path"))
+        key.strip("."): (str(settings[0].get(key, "unset")), str(settings[1].get(key, "unset")))
+        for key in sorted({*settings[0], *settings[1]})
+        if settings[0].get(key) != settings[1].get(key) and not key.endswith((".started", ".path"))
     }
 
 

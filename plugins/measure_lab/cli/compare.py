@@ -29,8 +29,8 @@ def compare(
     found = api.compare(first, second, body)
     if json:
         figures = [{**vars(figure), "sds": figure.sds} for figure in found.figures]
-        told = {**vars(found), "figures": figures}
-        console.print_json({"first": str(first), "second": str(second), **told})
+        facts = {**vars(found), "figures": figures}
+        console.print_json({"first": str(first), "second": str(second), **facts})
         return
     how = (
         f"one session, {found.paired} frame sets with an unflagged pose in both"

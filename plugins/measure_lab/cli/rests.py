@@ -40,7 +40,7 @@ def rests(
     if json:
         console.print_json({"run": str(run), **_values(found)})
         return
-    console.print_text(f"{run}: {found.told()}")
+    console.print_text(f"{run}: {found.listed()}")
     if not found.rests:
         return
     console.print_text(

@@ -18,10 +18,10 @@ from measure_lab import api as lab
 @Parameter(name="*")
 @dataclass(frozen=True)
 class _PlaceOptions:
-    """Where in a run the world shall be.
+    """Where to put the world.
 
     Attributes:
-        run: a run with the body where the world shall be.
+        run: a run with the body where you want the world.
         at: time of the pose, in seconds as in poses.csv.
         rest: number of a rest (`measure rests`); the longest, if no place is given.
         points: three rests of a pivoted tip instead: at the origin, on the x axis, and beside it

@@ -33,7 +33,7 @@ def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:
 
 
 POSES = 20
-"""Poses of a morning that are chosen if nothing else is said."""
+"""Poses of a morning that are chosen by default."""
 
 
 def choose_poses(model_path: Path, poses: Path, out: Path, count: int = POSES) -> ChosenPoses:

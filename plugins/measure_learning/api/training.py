@@ -32,7 +32,7 @@ class TrainOptions:
             where there is no other for the test.
         test: a data set of its own to score by.
         test_share: share of the labels kept for the test, in whole trajectories.
-        validation_share: likewise for choosing and stopping.
+        validation_share: the same for choosing and stopping.
         split_seed: which trajectories those are.
         folds: groups of recordings left out in turn, in fits of their own, to judge the covariance;
             0 leaves none out.

@@ -81,7 +81,7 @@ def estimate(
     if input_ is None and out is not None:
         raise ConfigError("--out needs --input: live estimates go back by UDP")
     if input_ is not None and out is None:
-        raise ConfigError("--input needs --out: where shall the errors go?")
+        raise ConfigError("--input needs --out, the file for the errors")
     if input_ is None and measured.true_positions is not None:
         raise ConfigError("--true-positions needs --input: live ones come by UDP")
     if input_ is None and measured.frame is not None:
@@ -113,13 +113,13 @@ def _zeroing(model: Path, stretch: Path) -> Zeroing:
 
 
 def _serve(model: Path, given: _ServerOptions, zeroing: Zeroing | None, json: bool) -> None:
-    told = False
+    warned = False
 
     def line(server: Any) -> None:
-        nonlocal told
+        nonlocal warned
         counts = server.counters.values()
-        if counts[_CROWDED] and not told:
-            told = True
+        if counts[_CROWDED] and not warned:
+            warned = True
             console.note(
                 "too many senders: new ones are refused until one has been silent for a minute"
             )

@@ -270,7 +270,7 @@ def _samples(
 
 
 def _stated(count: int) -> Floats:
-    """Covariances (n, 6, 6) of poses of which no column states them."""
+    """Covariances (n, 6, 6) of poses without columns of them."""
     variances = np.repeat([_LABEL_SD_MM**2, np.deg2rad(_TURN_SD_DEG) ** 2], 3)
     return np.tile(np.diag(variances), (count, 1, 1))
 

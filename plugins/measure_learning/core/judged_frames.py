@@ -1,4 +1,4 @@
-"""What is said of registered frames: what is left, what stays open, which pose would help."""
+"""The verdict on registered frames: what is left, what stays open, which pose would help."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from measure_learning.robots.links import link_names
 from measure_learning.robots.tool_poses import ToolPoses
 
 _LEAST_TURN_DEG = 5.0  # about a second axis, for a half of the poses to be judged by the other
-_WEAK_MM, _WEAK_RAD = 2.0, float(np.deg2rad(0.3))  # SD from which a frame is told to be uncertain
+_WEAK_MM, _WEAK_RAD = 2.0, float(np.deg2rad(0.3))  # SD from which a frame is reported as uncertain
 _NOT_SHOWN = 0.7  # share of its SD that a link's error keeps if the motion does not show it
 _STILL_RAD, _STILL_MM = float(np.deg2rad(0.2)), 0.2  # range of a joint that stands still
 _MOST_HELD_OUT, _LEAST_HELD_OUT_MM = 2.5, 1.0

@@ -331,7 +331,7 @@ def not_the_tip(schema: StateSchema, states: Floats, measured: Floats) -> str | 
     world, body = (np.degrees(np.linalg.norm(turn_errors(r, np.eye(3)))) for r in (base, flange))
     return (
         f"the tip's rotation is not among the labels: {size:.1f} deg (RMS) from the joints', "
-        f"of which a world turned by {world:.1f} deg and a body turned by {body:.1f} deg against "
+        f"including a world turned by {world:.1f} deg and a body turned by {body:.1f} deg against "
         f"the tip leave {left:.1f}: find both with `measure register`, and give --frame frame.toml"
     )
 

@@ -190,7 +190,7 @@ def _turns_apart_deg(seen: Sightings) -> float:
 def choose_reading(
     where: str, readings: Sequence[ToolReading], apart_deg: Sequence[float]
 ) -> tuple[int, str]:
-    """The reading of a tool's poses that brings the turns together, and what is said of it.
+    """The reading of a tool's poses that brings the turns together, and a note on it.
 
     If none does it is the first, and the refusal that follows says why. EstimatorError: others do
     nearly as well.
@@ -379,7 +379,7 @@ def _refuse_slips(
     if kept < MIN_KEPT_SHARE:
         raise EstimatorError(
             f"{100 * (1 - kept):.0f} % of the poses are not where base and tool of the others put "
-            "them: did the cameras, the base or the body move, or is another body taken for it?"
+            "them: did the cameras, the base or the body move, or was another body mistaken for it?"
         )
 
 

@@ -155,7 +155,7 @@ class Importance:
     permuted_mm: float  # RMS with the columns shuffled among rows; history is shuffled with them
     removed_mm: float | None  # RMS after fitting without them; None if not tried
     permutation_mm: float  # `permuted_mm` minus the RMS with all inputs
-    removal_mm: float | None  # likewise
+    removal_mm: float | None  # the same of the removal
 
 
 def ablate(

@@ -88,7 +88,7 @@ class TrainingSet:
         return self._reach.new_zeros(len(self._shares), len(self._reach)).requires_grad_()
 
     def loss(self, rows: Any, out: Any, offsets: Any, keep: Any = None) -> Any:
-        """Mean loss of net outputs (..., outputs) for row indices (...), of which some are kept.
+        """Mean loss of net outputs (..., outputs) for row indices (...); some are kept.
 
         What the offsets have in common is the net's; of a single recording, everything.
         """

@@ -33,7 +33,7 @@ class RidgeEstimator(WithinTrajectoryEstimator):
     """Weighted ridge regression on the pose, a window of poses, or play (hysteresis) states.
 
     Where the robot's chain is known, it is of the joint errors W f that explain the tip error
-    J(q) W f + V f: linear in W and V, hence solved in closed form.
+    J(q) W f + V f: linear in W and V, so it is solved in closed form.
     """
 
     name = "ridge"

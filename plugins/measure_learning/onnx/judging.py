@@ -20,7 +20,7 @@ from measure_learning.onnx.graph import Graph, Value
 from measure_learning.onnx.kinematics import tip_place
 
 _CLIP_SDS = 8.0  # scaled features are clipped to this many SDs
-_LIMITS = 1.2, 1.35, 1.5  # distances of which one is the limit; real arms err no more below 1.2
+_LIMITS = 1.2, 1.35, 1.5  # distances; one is the limit; real arms err no more below 1.2
 _LARGER = 1.5  # times as large residuals are a reason to call states unfamiliar
 _FEWEST = 30  # rows that show how large residuals are beyond such a limit
 _FARTHEST = 1.5  # the distance whose fourth power the covariance grows with: nothing shows farther

@@ -1,6 +1,6 @@
 """Running a saved estimator: one ONNX file that holds normalisation, features, nets and state.
 
-What goes in and comes out is said by `contract`. Metadata, as JSON: `measure` and
+`contract` states what goes in and comes out. Metadata, as JSON: `measure` and
 `card`; last a checksum, as `measure_learning.onnx.seal` appends it. `measure` holds:
 
 - `format`: 1; `estimator`: its name; `settings`: as they were;

@@ -97,7 +97,7 @@ def _affixed(schema: StateSchema, there: Sequence[str]) -> list[dict[str, tuple[
 
 
 def heading_hint(schema: StateSchema, there: Sequence[str]) -> str:
-    """What to do about headings from which the joints cannot be told; empty if nothing is known."""
+    """What to do about headings that do not identify the joints; empty if nothing is known."""
     several = [[column for column, _ in found.values()] for found in _affixed(schema, there)]
     joints = _joint_features(schema)
     if len(several) > 1:

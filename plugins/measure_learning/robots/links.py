@@ -70,7 +70,7 @@ def usual_sd(count: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class LinkEffects:
-    """A step towards the most likely parameters, the last of which are link errors."""
+    """A step towards the most likely parameters; the last ones are link errors."""
 
     step: Floats  # (m,)
     covariance: Floats  # (m, m)

@@ -151,7 +151,7 @@ _TIMES_AS_VIVID = 2.0  # Least ratio of the mean chroma of vivid pixels to that 
 def more_vivid_than_the_rest(
     pixels: Bytes, table: Bytes, step: int, count: int
 ) -> list[tuple[int, Bytes]]:
-    """Colours of which dull and vivid pixels are far apart, each with a table of the vivid ones.
+    """Colours whose dull and vivid pixels are far apart, each with a table of the vivid ones.
 
     They are split at the chroma, the greatest minus the least of blue, green and red, that makes
     the variance between both largest (Otsu 1979).

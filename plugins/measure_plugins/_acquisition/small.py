@@ -1,7 +1,7 @@
 """Balls too small for the reduced picture: circles round small patches of their colours.
 
 A picture of any size is reduced to a few hundred pixels across before circles are looked for, so
-that small balls of a large picture are lost. A lattice of its pixels, of which some lie on every
+that small balls of a large picture are lost. A lattice of its pixels, some of them on every
 ball, shows where small patches of a colour are. These are cut out, reduced to like sizes, laid side
 by side, and searched as one picture.
 """

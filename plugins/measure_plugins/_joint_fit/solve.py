@@ -72,7 +72,7 @@ class _FitState(NamedTuple):
     covariance: Floats  # (6 + c, 6 + c) of pose and edge offsets
     step: Floats  # (6 + c,) from where the moments were formed
     effects: Floats  # (k, 3) the random effects
-    variances: Floats  # (k, 3) of those, as taken for `equations`
+    variances: Floats  # (k, 3) of those, as used in `equations`
     effect_variance: elimination.EffectVariance  # the estimate that `variances` are made of
     view_shifts: elimination.ViewShifts
 
@@ -225,7 +225,7 @@ def _solve_inner(outlines: PackedOutlines, state: _FitState) -> tuple[bool, floa
 
 @compiled
 def _assemble(outlines: PackedOutlines, state: _FitState, normal: Floats, right: Floats) -> None:
-    """Fill the normal matrix (6 + c, 6 + c), of which the lower half counts, and right side."""
+    """Fill the normal matrix (6 + c, 6 + c), its lower half only, and right side."""
     equations = state.equations
     normal[:], right[:] = state.prior_normal, state.prior_right
     for k in range(len(outlines.view_of)):

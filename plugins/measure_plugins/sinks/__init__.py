@@ -1,1 +1,1 @@
-"""Sinks, one a file."""
+"""Sinks, one per file."""

@@ -19,7 +19,7 @@ from measure.processes import Progress, quiet
 from measure.reading import parse_toml, read_text
 from measure.session import dump_toml, read_body, write_body
 
-_ALIKE = 0.5  # Share of samples from which on they are taken for a common colour
+_ALIKE = 0.5  # Share of samples from which on they count as a common colour
 
 
 @dataclass

@@ -118,7 +118,7 @@ def record(
     Args:
         calibration: copied into the folder; pictures of other sizes are refused. May be added
             later.
-        bodies: likewise copied, one or several; may be added later.
+        bodies: copied too, one or several; may be added later.
         reference: name of the body that others are measured relative to; empty without one.
         on_state: called ten times a second with the counts of all cameras.
 

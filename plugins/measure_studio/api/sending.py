@@ -34,7 +34,7 @@ class SendOptions:
 
 
 def open_sending(options: SendOptions, registry: Registry, run: SentRun) -> Sending:
-    """What sends the poses of a run where it is told to.
+    """What sends the poses of a run where it should.
 
     Raises:
         ConfigError: an address or setting that is none; the message lists the schemes.
@@ -99,7 +99,7 @@ def sent_pose(
 
 
 class Sending:
-    """Sends to several sinks; use it in a `with` block, at whose end each one's count is told.
+    """Sends to several sinks; use it in a `with` block, at whose end each one's count is reported.
 
     Args:
         sinks: with their addresses.

@@ -65,8 +65,8 @@ class CameraAddress:
 
         Args:
             size_wh: of the pictures to ask a camera of this machine for.
-            rate_hz: pictures a second, likewise.
-            controls: what it is to be set to, by name (`controls.DeviceControls`), likewise.
+            rate_hz: pictures a second, or None as above.
+            controls: what it is to be set to, by name (`controls.DeviceControls`), or None.
 
         Raises:
             CaptureError: no such file or camera, or no address.

@@ -143,7 +143,7 @@ class Cameras:
         self._watch.read(name, readable)
 
     def note_copies(self, names: Iterable[str], copies: Mapping[str, str]) -> None:
-        """Hear of which cameras pictures were measured, and which showed another camera's."""
+        """Take the cameras whose pictures were measured, and which showed another's."""
         for name in {*names, *copies}:
             self._watch.compare(name, copies.get(name, ""))
 

@@ -117,7 +117,9 @@ def watched(cameras: Mapping[str, DeviceControls], lock: bool) -> Iterator[Contr
     def read() -> dict[str, dict[str, Control]]:
         found = {}
         for name, controls in cameras.items():
-            with suppress(CaptureError):  # it is away, which is told elsewhere, or cannot be asked
+            with suppress(
+                CaptureError
+            ):  # it is away, which is reported elsewhere, or cannot be asked
                 found[name] = controls.read()
         return found
 

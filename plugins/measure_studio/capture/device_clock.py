@@ -70,11 +70,11 @@ class DeviceClock:
     A camera's clock runs evenly, but from a start of its own; pictures arrive on our clock, but
     late by what it takes to read them out, compress and send them, which varies. The least delay of
     late ties one to the other (as in the clock filter of RFC 5905). What every picture takes at
-    least stays: a constant, of which cameras of one kind have about the same; `measure refine`
+    least stays: a constant, about the same for cameras of one kind; `measure refine`
     finds by how much they differ.
 
     Attributes:
-        sd_s: standard deviation of the last time that was told: what its picture is late against
+        sd_s: standard deviation of the last reported time: what its picture is late against
             the camera's rate, if it is the time of arrival, and at least what is usual; with a
             clock that was just set anew, what the least late one since was.
     """

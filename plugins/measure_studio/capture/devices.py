@@ -156,7 +156,7 @@ def _lasting(path: str, unique: bool) -> str:
 
 
 def _named_devices() -> list[FoundCamera]:
-    """The cameras of Windows or macOS, of which names alone are known."""
+    """The cameras of Windows or macOS: only their names are known."""
     try:
         from cv2_enumerate_cameras import enumerate_cameras, supported_backends
     except ImportError:

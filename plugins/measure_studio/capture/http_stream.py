@@ -75,7 +75,7 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, HttpStream]]:
     asks for a digest login gets no password at all.
 
     Yields:
-        The answer, of which the head is read, and what sets the limits of the rest.
+        The answer with its head read, and what sets the limits of the rest.
 
     Raises:
         CaptureError: there is no such address, or it answers something else, or not in time.

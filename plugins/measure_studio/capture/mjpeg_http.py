@@ -119,7 +119,7 @@ def _first_boundary(stream: BufferedIOBase, address: str) -> bytes | None:
 
 
 def _next_boundary(stream: BufferedIOBase, boundary: bytes, line: bytes) -> bytes | None:
-    """The same line after a part, of which `line` has been read; None where the stream ends."""
+    """The same line after a part, with `line` read already; None where the stream ends."""
     while line.strip() not in (boundary, boundary + b"--"):
         line = stream.readline(_MAX_LINE)
         if not line:

@@ -23,7 +23,7 @@ def part_head(size: int | None, stamp_s: float | None) -> bytes:
     """What stands before a picture.
 
     Args:
-        size: of the picture in bytes, if it is told.
+        size: of the picture in bytes, if it is given.
         stamp_s: when it was taken, on the camera's clock, if it has one.
     """
     lines = [f"--{_BOUNDARY}", "Content-Type: image/jpeg"]

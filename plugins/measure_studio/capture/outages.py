@@ -1,4 +1,4 @@
-"""Cameras that are away: told at once, once, and again when they are back."""
+"""Disconnected cameras: reported at once, once, and again when they are back."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class _Attendance:
     time_s: float = math.nan
     steps: deque[float] = field(default_factory=lambda: deque(maxlen=_STEPS))
     outage: Outage | None = None
-    told: bool = False
+    reported: bool = False
     back_s: float = math.inf
     back_time_s: float = math.nan
     trouble: str = ""
@@ -72,7 +72,7 @@ class _Attendance:
 
 
 class OutageWatch:
-    """Notices which cameras are away; pictures are told to it from the cameras' threads."""
+    """Notices which cameras are away; the cameras' threads report pictures to it."""
 
     def __init__(self, names: Iterable[str], clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._lock = clock, threading.Lock()
@@ -149,8 +149,8 @@ class OutageWatch:
             for name, one in self._cameras.items():
                 if now - one.heard_s > _MISSING * one.period_s + _GRACE_S:
                     self._miss(name, one)
-                if one.outage is not None and not one.told:
-                    one.told = True
+                if one.outage is not None and not one.reported:
+                    one.reported = True
                     changed.append(one.outage)
                 if one.outage is not None and one.heard_s - one.back_s > _STEADY_S:
                     changed.append(self._end(one.outage, one))
@@ -160,7 +160,7 @@ class OutageWatch:
         """Begin an outage, or let the present one go on."""
         if one.outage is None:
             since_s = self._begun_s if math.isnan(one.time_s) else one.time_s
-            one.outage, one.told = _explained(Outage(name, since_s), one), False
+            one.outage, one.reported = _explained(Outage(name, since_s), one), False
         one.back_s = math.inf
 
     def _end(self, outage: Outage, one: _Attendance) -> Outage:

@@ -85,7 +85,9 @@ class Recorder:
         """Close the files; pictures that come later are not written."""
         with self._lock:
             for file in self._stamps.values():
-                with suppress(OSError):  # of a full disk, which was told as the line was written
+                with suppress(
+                    OSError
+                ):  # of a full disk, which was reported as the line was written
                     file.close()
             self._stamps.clear()
 

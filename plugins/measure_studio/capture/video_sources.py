@@ -190,7 +190,7 @@ def refuse_redirection(address: str) -> None:
         raise CaptureError(f"{shown(address)}: {text}") from None
     if any(_REDIRECTION.match(answer) for answer in answers):
         raise CaptureError(
-            f"{shown(address)}: redirects to another address, where its password shall not go: "
+            f"{shown(address)}: redirects to another address, which must not get its password: "
             "give that address"
         )
 
@@ -204,7 +204,7 @@ def _answer(parts: SplitResult, request: str) -> bytes:
         connection: socket.socket = plain
         if parts.scheme == "rtsps":
             context = ssl.create_default_context()
-            # As FFmpeg: cameras make their own certificates. Nothing secret is said here.
+            # As FFmpeg: cameras make their own certificates. Nothing secret is sent here.
             context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
             connection = context.wrap_socket(plain, server_hostname=parts.hostname)
         with closing(connection):

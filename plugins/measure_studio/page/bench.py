@@ -16,7 +16,7 @@ from measure.errors import ConfigError, MeasureError
 from measure_studio import api as studio_api
 
 BOARD = "charuco_8x5_27"
-"""Offered first: parts of it count, its turns are told apart, and it is found fast."""
+"""Offered first: parts of it count, its turns are distinguishable, and it is found fast."""
 CALIBRATION = "calibration.toml"  # In the folder: the newest, whichever page made it
 CameraState = Literal["live", "away", "held"]
 CONNECTING = studio_api.WatchedCamera.CONNECTING
@@ -82,10 +82,10 @@ class Job:
         """How long this part of the work goes on already."""
         return time.monotonic() - self._begun_s
 
-    def told(self) -> str:
+    def text(self) -> str:
         """What is being done and the clock, or how it ended."""
         if self.runs:
-            return f"{self.title}: {self._pace.told(time.monotonic())}"
+            return f"{self.title}: {self._pace.text(time.monotonic())}"
         return self.problem or self.result
 
     def _run(self, work: Callable[[Job], str]) -> None:
@@ -142,7 +142,7 @@ class Bench:
         self._watched: dict[studio_api.CameraAddress, studio_api.WatchedCamera] = {}
         self._balls: studio_api.BallWatch | None = None
         self._counts: Mapping[str, studio_api.CameraCount] | None = None
-        self._changed = dict[Path, str]()  # What was changed last in files of which one is kept
+        self._changed = dict[Path, str]()  # The last change of files that keep one version
         self._turn = threading.Lock()
         self._calibration: tuple[int, api.Calibration] | None = None  # When it was written, too
 

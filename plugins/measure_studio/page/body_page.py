@@ -26,11 +26,11 @@ from measure_studio.page.layout import (
     empty,
     intro,
     kept_so,
+    live_label,
     page,
     pictures,
     put,
     tell,
-    told,
     tried,
     undo,
 )
@@ -222,10 +222,12 @@ def add(bench: Bench) -> None:
                         "are found by their colours. Click a ball that is not outlined.",
                         drawings.body_in_hand(),
                     )
-                    told(making.figures, "figure", "data-body")
-                    told(lambda: _judgement(making), "hint")
-                    told(lambda: "\n".join(making.found.left_out if making.found else ()), "lines")
-            with suppress(MeasureError):  # too few colours are left, which was told then
+                    live_label(making.figures, "figure", "data-body")
+                    live_label(lambda: _judgement(making), "hint")
+                    live_label(
+                        lambda: "\n".join(making.found.left_out if making.found else ()), "lines"
+                    )
+            with suppress(MeasureError):  # too few colours are left, which was reported then
                 making.look(like(), is_new=making.is_changed)
 
 

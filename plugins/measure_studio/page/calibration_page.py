@@ -28,9 +28,9 @@ from measure_studio.page.layout import (
     intro,
     kept_so,
     link,
+    live_label,
     page,
     put,
-    told,
     undo,
 )
 
@@ -232,7 +232,7 @@ def _one(bench: Bench, body: ui.select) -> Path | None:
 def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> None:
     """The button that begins, and what to do next while the board is waved."""
     with ui.row().classes("line"):
-        told(wave.advice, "figure lines", "data-advice")
+        live_label(wave.advice, "figure lines", "data-advice")
         begin = act("Wave the board", "waving_hand", lambda: wave.take(body()), primary=True)
         enough = act("Enough for me", "done", wave.end, primary=True)
         other = act("Take the board that is seen", "swap_horiz", lambda: wave.take_other(body()))
@@ -240,7 +240,7 @@ def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> Non
     with ui.column().classes("advice") as shown:
         bar = ui.linear_progress(0.0, show_value=False).props("rounded size=0.9rem")
         bar.props('aria-label="how accurate it is, of what was asked for"')
-        told(wave.reached, "hint")
+        live_label(wave.reached, "hint")
 
     def show() -> None:
         begin.set_visibility(not bench.busy)

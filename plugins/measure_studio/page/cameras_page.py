@@ -59,7 +59,7 @@ def add(bench: Bench) -> None:
 
 
 def _added(bench: Bench, word: str) -> list[studio_api.CameraAddress]:
-    """The cameras with those that were typed, each of which delivers; ConfigError if not."""
+    """The cameras with those that were typed, all streaming; ConfigError if not."""
     if not word:
         raise ConfigError("type the address of a camera, or find those of this computer")
     free = next(f"cam{k}" for k in range(len(bench.names) + 1) if f"cam{k}" not in bench.names)
@@ -194,25 +194,25 @@ def _told(bench: Bench, name: str) -> dict[str, tuple[str, str]]:
     """What each line says, and how it is meant."""
     (state, why), balls = bench.state(name), bench.preview.balls(name)
     kind = {"live": "good", "away": "wrong", "held": ""}[state]
-    told = {"state": (why or "delivers", kind)}
+    cells = {"state": (why or "delivers", kind)}
     if name in bench.now:
         count = bench.now[name].count
         lost = "weak" if count.outages or count.refused else ""
         rate = "" if math.isnan(count.rate_hz) else f"{count.rate_hz:.1f} per s"
-        told |= {
+        cells |= {
             "rate": (rate, ""),
             "times": ("its own clock" if count.own_clock else "of arrival", ""),
         }
         often = len(count.outages)
         away = f"away {often} times" if often > 1 else "away once" if often else "never away"
-        told["drops"] = f"{away}, {count.refused} torn pictures", lost
+        cells["drops"] = f"{away}, {count.refused} torn pictures", lost
         looked = bench.looks and bench.preview.has_looked(name)
         none = "none" if looked else "choose a body under More"
         if bench.searched and not looked:
             none = "..." if state == "live" else ""
-        told["balls"] = ", ".join(balls) or none, ""
+        cells["balls"] = ", ".join(balls) or none, ""
     facts = bench.preview.facts(name)
-    return told if facts is None else told | _judged(facts)
+    return cells if facts is None else cells | _judged(facts)
 
 
 def _judged(facts: studio_api.PictureFacts) -> dict[str, tuple[str, str]]:

@@ -101,7 +101,7 @@ def _job_line(bench: Bench) -> None:
     def show() -> None:
         job = bench.job
         is_news = job is not None and not job.problem and time.monotonic() - job.ended_s < _NEWS_S
-        said = job.told() if job is not None and is_news else ""
+        said = job.text() if job is not None and is_news else ""
         after = ", ".join(title for title, _ in bench.waiting)
         said += f"; then: {after}" if after else ""
         text.set_text(plain(said, bench.folder) or bench.cameras_told())
@@ -147,7 +147,7 @@ def intro(sentence: str, drawing: str = "") -> None:
 
 
 _LEVELS = {"wrong": "✕", "weak": "▲", "note": "·"}
-"""Findings are told by their shape as well as by their colour."""
+"""Findings differ in shape as well as in colour."""
 
 
 def findings_shown(findings: Iterable[Any], cameras: Sequence[str]) -> str:
@@ -183,7 +183,7 @@ def details(title: str) -> ui.expansion:
     return ui.expansion(title).classes("details").props("dense")
 
 
-def told(text: Callable[[], str], kind: str = "lines", mark: str = "") -> ui.label:
+def live_label(text: Callable[[], str], kind: str = "lines", mark: str = "") -> ui.label:
     """A label that says what is so at the moment; it takes no room while it says nothing."""
     label = ui.label().classes(kind).props(mark)
 
@@ -269,10 +269,12 @@ def choice(
     label: str, bench: Bench, files: Sequence[Path], several: bool = False, newest: bool = True
 ) -> ui.select:
     """A choice among files of the folder, the newest at first; none of them is a choice, too."""
-    told = {str(f.relative_to(bench.folder)): studio_api.described(f, bench.folder) for f in files}
-    first = [*told][:1] if newest else []
+    described = {
+        str(f.relative_to(bench.folder)): studio_api.described(f, bench.folder) for f in files
+    }
+    first = [*described][:1] if newest else []
     value = first if several else next(iter(first), None)
-    made = ui.select(told, label=label, value=value, multiple=several, clearable=not several)
+    made = ui.select(described, label=label, value=value, multiple=several, clearable=not several)
     before = list(first)
 
     def keep() -> None:
@@ -338,7 +340,7 @@ def camera_card(
     """
     with ui.card() as card:
         picture(name, width_px, drawn)
-        told(line)
+        live_label(line)
     kept_so(0.5, lambda: show_state(bench, name, card))
     return card
 

@@ -23,9 +23,9 @@ from measure_studio.page.layout import (
     empty,
     intro,
     link,
+    live_label,
     page,
     put,
-    told,
     tried,
 )
 
@@ -230,5 +230,5 @@ def _steps(bench: Bench, marks: _MarksPage, marking: api.Marking) -> None:
         act("Remove", "delete", lambda: marks.remove(marking))
         act("Write marks", "save", lambda: marks.save(marking))
         act("Locate the cameras", "tune", lambda: marks.locate(marking), primary=True)
-        told(lambda: marks.counted(marking), "hint")
+        live_label(lambda: marks.counted(marking), "hint")
         link("Report of the calibration", bench, lambda: marks.report)

@@ -32,10 +32,10 @@ from measure_studio.page.layout import (
     empty,
     findings_shown,
     kept_so,
+    live_label,
     page,
     put,
     tell,
-    told,
     tried,
 )
 from measure_studio.page.live_view import LiveView
@@ -47,7 +47,7 @@ _TRUTH = "truth.csv"  # In the folder, if there is one
 _WORDS = {"ok": ("OK", "good"), "flagged": ("DOUBTFUL", "weak")}
 """State of a pose in large letters, and its colour; all others are lost."""
 _SHAPES = {"OK": "●", "DOUBTFUL": "▲", "LOST": "✕", "OLD": "◌", "STOPPED": "■"}
-"""States are told by their shape as well as by their colour."""
+"""States differ in shape as well as in colour."""
 _KEYS_OF_FRAME = """(e) => e.target.contentWindow?.addEventListener("keydown", (k) =>
     document.body.dispatchEvent(
         new KeyboardEvent("keydown", {key: k.key, code: k.code, bubbles: true})))"""
@@ -322,7 +322,7 @@ def _figures(live: _Live) -> None:
         put(poses, "ended", not live.goes_on)
 
     kept_so(0.3, show)
-    told(lambda: _pace(live.state) if live.state and live.goes_on else "", "hint")
+    live_label(lambda: _pace(live.state) if live.state and live.goes_on else "", "hint")
 
 
 def _stopped(live: _Live) -> str:
@@ -344,13 +344,15 @@ def _below(live: _Live) -> None:
     with ui.column().classes("findings") as found:
         headline = ui.label().classes("figure").props("data-check")
         listed = ui.html("", sanitize=False)
-    told(lambda: live.compared, "figure")
+    live_label(lambda: live.compared, "figure")
     with ui.row().classes("line"):
         columns = [
             {"name": name, "label": name, "field": name, "align": "left"} for name in _REST_COLUMNS
         ]
         rests = ui.table(rows=[], columns=columns).props("flat dense wrap-cells").classes("rests")
-        told(lambda: "\n".join(_event_lines(live.run)) if live.run else "", mark="data-events")
+        live_label(
+            lambda: "\n".join(_event_lines(live.run)) if live.run else "", mark="data-events"
+        )
 
     def show() -> None:
         found.set_visibility(live.findings is not None)
@@ -373,14 +375,14 @@ def _below(live: _Live) -> None:
 def pose_shown(name: str, measured: api.Measurement, age: str, goes_on: bool = True) -> str:
     """A body's state and pose as HTML, and below it what speaks against the pose, a line each.
 
-    A pose that is not believed is grey, its ± struck out.
+    A pose that is not accepted is grey, its ± struck out.
     """
     word, kind = _WORDS.get(measured.status.value, ("LOST", "wrong"))
     if age:
         age = f"was {word}; {age}" if goes_on else f"the last pose was {word}, {age}"
         word, kind = ("OLD", kind) if goes_on else ("STOPPED", kind)
-    told = (plain(doubt) for doubt in measured.doubts.split("; ") if doubt)
-    doubts = grouped(told, [*measured.frames, *measured.copies])
+    plain_doubts = (plain(doubt) for doubt in measured.doubts.split("; ") if doubt)
+    doubts = grouped(plain_doubts, [*measured.frames, *measured.copies])
     listed = "".join(f"<li>{escape(doubt)}</li>" for doubt in doubts)
     figures = f'<ul class="doubts">{listed}</ul>' if listed else ""
     if (pose := measured.pose) is not None:

@@ -24,8 +24,8 @@ from measure_studio.page.layout import (
     chosen,
     details,
     intro,
+    live_label,
     page,
-    told,
     undo,
 )
 from measure_studio.page.steps import STEPS, step_of
@@ -182,7 +182,7 @@ def add(bench: Bench) -> None:
             with ui.row().classes("line"):
                 act("Set the origin here", "my_location", world.by_board, True)
                 undo(bench, lambda: bench.folder / CALIBRATION)
-                told(world.said, "hint")
+                live_label(world.said, "hint")
             camera_pictures(bench, world.line, world.drawn_over)
             _others(bench, world)
         ui.timer(_LOOK_S, partial(run.io_bound, world.look))

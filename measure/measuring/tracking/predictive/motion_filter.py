@@ -24,7 +24,7 @@ _PRIOR_WEIGHT = 0.5
 _MIN_VARIANCE_RATIO = 1 / 64
 """Least variance of the acceleration, of the configured one: a body at rest may start to move."""
 _MAX_VARIANCE_RATIO = 16
-"""Largest variance of the acceleration, of the configured one: more is taken for an error."""
+"""Largest variance of the acceleration, of the configured one: more counts as an error."""
 _TINY = 1e-300  # Least variance that is divided by
 
 

@@ -37,7 +37,7 @@ class ResidualTable:
     residuals_px: Mapping[tuple[str, str], Floats]  # (2,), by (ball, camera)
     body: Body
     cameras: Sequence[Camera]
-    view_bias_px: float  # standard deviation of a ball-view's own bias besides its noise
+    view_bias_px: float  # standard deviation of a ball-view's own bias in addition to its noise
 
     @cached_property
     def effective(self) -> tuple[Detection, ...]:
@@ -74,7 +74,7 @@ class ResidualTable:
     ) -> Iterator[tuple[str, Floats]]:
         """Groups whose residuals share an offset that their uncertainties do not explain.
 
-        That of a ball is where it is besides the place that the pose gives it, (3,) in mm; that of
+        That of a ball is its offset from the place that the pose gives it, (3,) in mm; that of
         a camera is where it sees all balls, (2,) in px.
 
         Args:

@@ -31,8 +31,8 @@ class PredictiveConfig(Settings):
     )
     view_bias_px: float = setting(
         0.3,
-        "Standard deviation of a ball-view's own bias besides its noise, where all ball-views "
-        "together are tested against the pose.",
+        "Standard deviation of a ball-view's own bias, on top of its noise, where all "
+        "ball-views together are tested against the pose.",
         unit="px",
         ge=0,
     )

@@ -16,7 +16,7 @@ from measure_plugins._outline.sampling.rays import CLEAR, FITTED_RAYS, Statuses
 
 GREY = 1 / np.sqrt(3.0)
 COLORLESS = 0.15
-"""Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
+"""Sine of the angle between a ball's colour and grey below which the two are indistinguishable."""
 _OWN_LAST_PX = -3.0
 _NEIGHBOURS = tuple(float(w) for w in np.exp(-0.5 * (np.arange(5) / 1.5) ** 2))
 """Weights of a ray and of those one to four further on: a normal distribution of sd 1.5 rays."""

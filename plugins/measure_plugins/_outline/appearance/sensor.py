@@ -101,7 +101,7 @@ def read_off(values: Reals) -> Reals:
 
 @compiled
 def _blur(values: Reals, weights: Floats, out: Reals) -> None:
-    """Add rows (m, n), blurred across, to those of `out`, the first of which is CHROMA_REACH."""
+    """Add rows (m, n), blurred across, to those of `out`; its first is CHROMA_REACH."""
     m, n = values.shape
     for j in range(CHROMA_REACH, m):
         for k in range(len(weights)):

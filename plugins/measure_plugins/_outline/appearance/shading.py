@@ -59,7 +59,7 @@ def fit_shading(amounts: Floats, status: Statuses, functions: Floats, used: int)
     Args:
         amounts: (m, n) of the body colour.
         functions: (t, m, n).
-        used: how many steps to use, of which every second one is.
+        used: how many steps to use; every second one is.
     """
     rays, terms = some_clear(status), len(functions)
     coefficients, right = np.zeros(terms), np.empty(terms)

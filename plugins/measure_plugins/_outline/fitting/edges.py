@@ -57,7 +57,7 @@ LATER_STEPS = STEPS[_FIRST:]
 _LIGHT_STEPS = (STEPS <= FIT_LAST_PX) | (
     (_BACKGROUND_PX[0] <= STEPS) & (_BACKGROUND_PX[1] >= STEPS)
 )
-"""The steps at which light is sampled besides picture values. Kernels take copies of these: a
+"""Steps at which light is sampled in addition to picture values. Kernels take copies of these: a
 constant array is of another type than a variable one, and all would be compiled twice."""
 
 

@@ -69,7 +69,7 @@ _MIN_INFORMATIVE = 0.05
 def measure_known_size(view: CameraImage, search: OutlineSearch, tables: RadialTables) -> Outline:
     """Measure an outline of known size by corrected edges, from its prediction if that converges.
 
-    Wide scans show much besides the outline and are often further off than the prediction: one is
+    Wide scans show much more than the outline and are often further off than the prediction: one is
     made only where the corrected edges about the prediction do not agree.
     """
     near = _iterate_corrected(view, search, tables, search.axis)
@@ -134,7 +134,7 @@ def search_about_circle(
 def unoccluded_search(
     axis: Floats, half_angle: float, far: float, rays: int, min_contrast: float, margin_px: float
 ) -> OutlineSearch:
-    """The search for an outline of unknown size in front of which no ball is known."""
+    """The search for an outline of unknown size without a known ball before it."""
     none, unit = np.empty((0, 4)), np.eye(2)
     return OutlineSearch(
         axis, half_angle, none, none, far, rays, min_contrast, margin_px, np.inf, unit

@@ -196,7 +196,7 @@ def sample(
     Args:
         image: (h, w, 3) uint8.
         table: (256,) light of each picture value.
-        rays: n rays, of which clear ones are sampled; those that leave the picture are marked.
+        rays: n rays; clear ones are sampled; those that leave the picture are marked.
         steps: (m,) px along the normals.
         light_wanted: (m,) at which steps; light is zero at the others.
         values_from: the first step at which picture values are wanted.

@@ -49,9 +49,9 @@ windows lie between."""
 _GLOSSY_BELOW = 0.5
 _MATT_ABOVE, _MATT_ABOVE_BENT = 0.88, 0.82
 """Residuals of the glossy model per those of the matt one: below the first, matt paint is not
-refined; above, it is chosen for balls without highlights, of which glossy ones have at most 0.33
+refined; above, it is chosen for balls without highlights; glossy ones have at most 0.33
 and matt ones at least 0.76. Where highlights cannot be measured, on white balls, it is chosen above
-the second (the third for bent curves), because the glossy model has free reflections besides and
+the second (the third for bent curves), because the glossy model also has free reflections and
 fits matt paint nearly as well."""
 
 Bounds = tuple[float, float]

@@ -16,8 +16,8 @@ _INNER_RADIUS = 0.93
 """Share of the outline's radius: pixels further out are blurred with the background."""
 _MIN_PIXELS = 50
 _HIGHLIGHT_QUANTILE = 0.995
-"""Quantile of surface reflection taken for a highlight: noise alone exceeds it on fewer pixels."""
-_LIT_QUANTILE = 0.9  # Quantile of body reflection taken for that of the lit side
+"""Surface reflection above this quantile is a highlight: noise alone exceeds it on fewer pixels."""
+_LIT_QUANTILE = 0.9  # Quantile of body reflection used as that of the lit side
 _MIN_SATURATION = 0.3
 """Least difference of the strongest and the weakest channel of a body colour, of maximum 1."""
 
