@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.faults.cameras import FAULTS, meet
+from benchmarks.faults.hostile_camera import LOGIN, TOKEN, Fault, HostileCamera, hostile
 from measure.errors import CaptureError
 from measure_studio.capture import CameraAddress, Cameras
 from measure_studio.capture.web_address import shown
-from tests.faults.cameras import FAULTS, meet
-from tests.faults.hostile_camera import LOGIN, TOKEN, Fault, HostileCamera, hostile
 from tests.studio.capture.test_cameras import waited
 
 SECRETS = (LOGIN, LOGIN.partition(":")[2], TOKEN)

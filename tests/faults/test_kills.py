@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.faults import kills
+from benchmarks.faults.killed import Moment
 from measure.results.journal import GrowingFile
-from tests.faults import kills
-from tests.faults.killed import Moment
 from tests.results.conftest import measurement, open_writer
 
 SETS = 4

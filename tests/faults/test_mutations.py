@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.faults.mutations import AT_MOST_BYTES, Mutations, fault_of, moved
-from tests.faults.subjects import SUBJECTS, small
+from benchmarks.faults.mutations import AT_MOST_BYTES, Mutations, fault_of, moved
+from benchmarks.faults.subjects import SUBJECTS, small
 from tests.results.conftest import measurement, written
 
 QUICK = tuple(

@@ -7,6 +7,7 @@ import socket
 import numpy as np
 import pytest
 
+from benchmarks.faults.packets import KINDS, difference_mm, flood_of
 from measure.host import Correction
 from measure_learning.api import shipped_model
 from measure_learning.core import AnswerPacket, EstimateClient, EstimateServer, StatePacket
@@ -14,7 +15,6 @@ from measure_learning.core.datagrams import Lanes
 from measure_learning.core.server import MOST_SENDERS
 from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import simulate
-from tests.faults.packets import KINDS, difference_mm, flood_of
 
 
 def test_no_datagram_of_others_moves_a_correction():

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.faults.cameras import FAULTS
+from benchmarks.faults.hostile_camera import HostileCamera, hostile
 from measure.cli import main
 from tests.camera_server import ServedCamera, serving
 from tests.chromium import Chromium
-from tests.faults.cameras import FAULTS
-from tests.faults.hostile_camera import HostileCamera, hostile
 from tests.studio.desk import fill, go, press, strike, studio
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

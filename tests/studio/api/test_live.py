@@ -17,6 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.faults.cameras import FAULTS
+from benchmarks.faults.hostile_camera import LOGIN, TOKEN, HostileCamera, hostile
 from benchmarks.sinks import free_port
 from measure.api import events
 from measure.api import run as measure_run
@@ -27,8 +29,6 @@ from measure.results import read_run
 from measure.session import read_calibration, read_trajectory
 from measure_studio.api import LiveOptions, live, parse_cameras
 from tests.camera_server import ServedCamera, serving
-from tests.faults.cameras import FAULTS
-from tests.faults.hostile_camera import LOGIN, TOKEN, HostileCamera, hostile
 from tests.simulated.knocked import TURN_DEG, turned
 
 pytestmark = pytest.mark.usefixtures("signals")

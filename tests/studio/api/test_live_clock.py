@@ -12,9 +12,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.faults.hostile_camera import HostileCamera, hostile
 from measure.cli import main
 from measure.results import read_run
-from tests.faults.hostile_camera import HostileCamera, hostile
 from tests.studio.api.test_live import PERIOD_S, Receiver, words
 
 pytestmark = pytest.mark.usefixtures("signals")

@@ -139,7 +139,7 @@ class Process:
 def context() -> multiprocessing.context.ForkServerContext:
     """A fork server that has imported and compiled what commands need."""
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["tests.faults.warm"])
+    server.set_forkserver_preload(["benchmarks.faults.warm"])
     return server
 
 

@@ -1,4 +1,4 @@
-"""The fault harness: `python -m tests.faults [PART ...] [--count N] [--seed S]`.
+"""The fault harness: `python -m benchmarks.faults [PART ...] [--count N] [--seed S]`.
 
 Every part tries so many faults of its kind and tells what came of them; all parts run if none is
 named. It takes from minutes to hours: the tests beside it are its quick part.
@@ -18,7 +18,7 @@ PARTS = ("kills", "cameras", "packets", "soak", "mutations")
 
 def main() -> None:
     """Run the parts, and print one table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.faults", description=__doc__)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
     parser.add_argument("--count", type=int, default=50, help="how many faults of each kind")
     parser.add_argument("--seed", type=int, default=1, help="of everything random")
@@ -29,7 +29,7 @@ def main() -> None:
         parser.error(f"--count {given.count}: expected a positive number")
     table = Table("part", "tried", "what came out")
     for name in given.parts or PARTS:
-        part = importlib.import_module(f"tests.faults.{name}")
+        part = importlib.import_module(f"benchmarks.faults.{name}")
         for tried, came_out in part.rows(given.count, given.seed):
             table.add_row(name, tried, came_out)
     Console(width=None if os.isatty(1) else 160).print(table)

@@ -1,4 +1,4 @@
-"""Hostile senders of datagrams: `python -m tests.faults packets --count N`.
+"""Hostile senders of datagrams: `python -m benchmarks.faults packets --count N`.
 
 N datagrams of every kind of wrong come between a robot's states to the estimator server, from other
 ports; then the server is flooded while a robot sends 1000 states a second. No correction may differ
@@ -140,7 +140,7 @@ def _served() -> Iterator[tuple[tuple[str, int], subprocess.Popen[str]]]:
 
 _FLOODER = """
 import sys, threading
-from tests.faults import packets
+from benchmarks.faults import packets
 over, datagrams = threading.Event(), packets.flood_of(sys.argv[2])
 threading.Thread(target=lambda: (sys.stdin.read(), over.set())).start()
 print("floods", flush=True)

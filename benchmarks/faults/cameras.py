@@ -1,7 +1,7 @@
 """What may be wrong with a camera, and what a reader of its pictures is told.
 
-`python -m tests.faults cameras --count N` meets N cameras, each with a fault drawn at random, and
-says what is told of it, and after how long.
+`python -m benchmarks.faults cameras --count N` meets N cameras, each with a fault drawn at random,
+and says what is told of it, and after how long.
 """
 
 from __future__ import annotations
@@ -21,10 +21,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from measure.errors import CaptureError, SessionError
-from measure_studio.capture import CameraAddress
-from measure_studio.capture.sources import Shot, image_of, is_whole, size_wh
-from tests.faults.hostile_camera import (
+from benchmarks.faults.hostile_camera import (
     LOGIN,
     OK,
     TOKEN,
@@ -35,6 +32,9 @@ from tests.faults.hostile_camera import (
     Wire,
     hostile,
 )
+from measure.errors import CaptureError, SessionError
+from measure_studio.capture import CameraAddress
+from measure_studio.capture.sources import Shot, image_of, is_whole, size_wh
 
 
 def _redirects(to: str) -> Callable[[Wire, HostileCamera], None]:

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.faults.killed import Ended, Moment, Process
+from benchmarks.faults.killed_commands import Loss, commands, killed
 from measure.cli import main
 from measure.errors import MeasureError
 from measure.results import read_run
 from measure.simulation import write_session
-from tests.faults.killed import Ended, Moment, Process
-from tests.faults.killed_commands import Loss, commands, killed
 from tests.simulated.catalogue import occluded_scene, webcam_scene
 from tests.simulated.sessions import part_of
 

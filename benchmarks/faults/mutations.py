@@ -1,4 +1,4 @@
-"""Changed files of every kind: `python -m tests.faults mutations --count N`.
+"""Changed files of every kind: `python -m benchmarks.faults mutations --count N`.
 
 Each of N times a file of some kind is changed in some way, and the command that reads it is run in
 a process of its own. It may succeed, or refuse in one line with exit code 2; it may not end with a
@@ -24,11 +24,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.faults.killed import context
+from benchmarks.faults.subjects import SUBJECTS, Subject, done, rendered, write_seeds
 from measure.cli import main
 from measure.errors import MeasureError
 from measure.results import Run, read_run
-from tests.faults.killed import context
-from tests.faults.subjects import SUBJECTS, Subject, done, rendered, write_seeds
 
 AT_MOST_S = 20
 AT_MOST_BYTES = 2 << 30

@@ -31,6 +31,7 @@ class Wire:
     """Bytes."""
 
     def send(self, *data: bytes) -> None:
+        """Send it at once."""
         try:
             self.socket.sendall(b"".join(data))
         except OSError:
@@ -125,6 +126,7 @@ class HostileCamera:
 
     @property
     def address(self) -> str:
+        """Where it is, password and all."""
         return f"http://{LOGIN}@127.0.0.1:{self.port}/stream?token={TOKEN}"
 
     def order(self) -> list[int]:

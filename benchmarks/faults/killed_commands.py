@@ -9,10 +9,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.faults.killed import Ended, Moment, Process
 from benchmarks.registration import recorded, robot_toml
 from measure.cli import main
 from measure_learning.robots import write_log
-from tests.faults.killed import Ended, Moment, Process
 from tests.metrology.recordings import write_run
 from tests.simulated.capture import CaptureScene, write_capture
 

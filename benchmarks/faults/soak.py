@@ -1,4 +1,4 @@
-"""A live soak: `python -m tests.faults soak --count SECONDS`.
+"""A live soak: `python -m benchmarks.faults soak --count SECONDS`.
 
 `measure live` measures four cameras that deliver a rendered session at 15 pictures a second, while
 each has, every few seconds, a fault drawn at random. Its poses are compared with the exact truth,
@@ -25,9 +25,9 @@ from typing import TextIO
 
 import numpy as np
 
+from benchmarks.faults.cameras import FAULTS
+from benchmarks.faults.hostile_camera import LOGIN, TOKEN, Fault, HostileCamera, hostile
 from measure.session import read_trajectory
-from tests.faults.cameras import FAULTS
-from tests.faults.hostile_camera import LOGIN, TOKEN, Fault, HostileCamera, hostile
 from tests.simulated.sessions import STILL_HZ, STILL_SETS, still_session
 
 NAMES = tuple(f"cam{k}" for k in range(4))
@@ -62,6 +62,7 @@ class Trial:
         return self.away_s[0] - due_s if self.away_s else float("nan")
 
     def verdict(self) -> str:
+        """Whether it was told as it should be."""
         if self.fault.silences is False:
             return "silent" if not self.away_s else "told though pictures came"
         if self.fault.silences is None and not self.away_s:
@@ -124,6 +125,7 @@ class Watcher:
             time.sleep(1.0)
 
     def wait_for(self, text: str, seconds: float) -> None:
+        """Wait until a line says so."""
         until = time.time() + seconds
         while not any(text in line for _, line in self.lines):
             if time.time() > until or self.process.poll() is not None:

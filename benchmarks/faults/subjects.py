@@ -16,6 +16,8 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv, ipc, parquet
 
+from benchmarks.faults import mutating
+from benchmarks.faults.mutating import BINARY, TEXT, Mutation
 from measure.cli import main
 from measure.host import Estimator, Registry
 from measure.host.estimator import quiet
@@ -30,8 +32,6 @@ from measure_learning.robots.bags import DEFINITION, MESSAGE
 from measure_learning.robots.raven import FIELDS
 from measure_learning.simulator import simulate
 from tests.bags import Bag
-from tests.faults import mutating
-from tests.faults.mutating import BINARY, TEXT, Mutation
 from tests.learning.robots.test_logs import RAVEN_STATE, _write_counted
 from tests.results.conftest import CAMERAS, PERIOD_S, measurement, write_truth, written
 from tests.session.conftest import write_recording

@@ -1,0 +1,1 @@
+"""Faults of files, cameras, packets and processes, injected for hours."""
