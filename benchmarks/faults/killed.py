@@ -55,7 +55,7 @@ class Steps:
                 self._step(f"row {data[:8]!r}")
             append(file, data)
 
-        GrowingFile.append = counted  # type: ignore[method-assign]
+        GrowingFile.append = counted  # type: ignore[method-assign, assignment]
         sys.addaudithook(self._on_event)
 
     def _on_event(self, event: str, args: tuple[Any, ...]) -> None:

@@ -208,7 +208,20 @@ def other_values(values: Any, draw: random.Random) -> Any:
         if draw.random() < 0.2:
             del here[key]
         else:
-            odd = (None, -1, 0, 1.5, 10**30, "x", [], {}, [[1]], True, 1e300, float("nan"))
+            odd: tuple[Any, ...] = (
+                None,
+                -1,
+                0,
+                1.5,
+                10**30,
+                "x",
+                [],
+                {},
+                [[1]],
+                True,
+                1e300,
+                float("nan"),
+            )
             here[key] = draw.choice(odd)
         return values
 
@@ -243,7 +256,7 @@ def restored(path: Path, draw: random.Random) -> str:
 
     state = torch.load(path, weights_only=True)
     name = draw.choice([key for key in state if key != "key"])
-    odd = (None, 1, "x", [], {}, torch.zeros(3), torch.full((2, 2), float("nan")))
+    odd: tuple[Any, ...] = (None, 1, "x", [], {}, torch.zeros(3), torch.full((2, 2), float("nan")))
     if draw.random() < 0.3:
         del state[name]
     else:

@@ -30,12 +30,7 @@ def stated(still, folder, *shares):
 
 
 @pytest.mark.parametrize(
-    ("shares", "said"),
-    [
-        ((1, 1, 1), None),
-        ((1.01, 1.01, 1.01), "all balls look smaller than the body file says, by 1."),
-        ((1.01, 0.99, 1.01), "balls look larger or smaller"),
-    ],
+    ("shares", "said"), [((1, 1, 1), None), ((1.01, 0.99, 1.01), "balls look larger or smaller")]
 )
 def test_a_wrong_size_is_found_told_and_does_no_harm(still, tmp_path, shares, said):
     folder = stated(still, tmp_path / "stated", *shares)

@@ -15,8 +15,6 @@ from measure.measuring import Status
 from measure.session import open_session, read_trajectory
 from measure_plugins._outline.self_calibration.estimate import BENDS_SD, has_common_response
 from measure_plugins.detectors.outline import OutlineDetector
-from tests.simulated.catalogue import scene_catalogue
-from tests.simulated.sessions import rendered
 
 pytestmark = pytest.mark.slow
 
@@ -40,16 +38,6 @@ def first_errors(folder, count):
 def without_burn_in(monkeypatch):
     """Call it, and recordings are measured from the first frame set to the last, once."""
     return lambda: monkeypatch.setattr(OutlineDetector, "stateful", True)
-
-
-def test_the_first_poses_are_as_good_as_any(without_burn_in):
-    """Four frame sets only: one estimate, in the burn-in as without it."""
-    folder = rendered(scene_catalogue()["sharpened"], np.arange(4) / 30)
-    burnt_in = first_errors(folder, 1)[0]
-    without_burn_in()
-    at_once = first_errors(folder, 1)[0]
-    assert burnt_in[1] < 0.04
-    assert at_once[1] > 0.08
 
 
 def test_no_frame_set_of_a_sharpened_recording_is_lost(renders, tmp_path, without_burn_in):

@@ -62,15 +62,14 @@ def test_swapped_calibrations_are_told(clutter, tmp_path, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("axis", "said"), [(1, "mirrored"), (-1, "upside down")])
-def test_a_picture_turned_over_is_named_and_no_pose_believed(clutter, tmp_path, axis, said, capsys):
+def test_a_mirrored_picture_is_named_and_no_pose_believed(clutter, tmp_path, capsys):
     session, out = tmp_path / "session", tmp_path / "run"
     shutil.copytree(clutter, session)
     for picture in sorted((session / "cam1").glob("*.jpg")):
-        over = cv2.flip(cv2.imread(str(picture)), axis)
+        over = cv2.flip(cv2.imread(str(picture)), 1)
         cv2.imwrite(str(picture), over, [cv2.IMWRITE_JPEG_QUALITY, 95])
     (text,) = alarms(session, capsys)
-    assert text.startswith(f"the pictures of cam1 are {said}; with that undone all cameras agree")
+    assert text.startswith("the pictures of cam1 are mirrored; with that undone all cameras agree")
     assert main(["run", str(session), "-o", str(out)]) == 0
     assert read_run(out).summary.ok == 0
 

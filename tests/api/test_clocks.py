@@ -13,7 +13,6 @@ import pytest
 from measure.cli.app import main
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
-from measure.session import read_calibration
 from measure.simulation.catalogue import WEBCAM, WORKSPACE_MM, webcam_scene
 from measure.simulation.trajectory import Sines
 from tests.simulated.sessions import rendered
@@ -72,15 +71,3 @@ def test_check_tells_each_clock_and_each_shutter(rolling, capsys):
         assert clock["readout_s"] > 3 * clock["readout_sd_s"]
     said = [f["text"] for f in found["findings"] if f["topic"] == "clock"]
     assert any(text.startswith("cam1: the clock is +") for text in said)
-
-
-def test_refine_reports_clocks_but_applies_none_with_rolling_shutters(rolling, tmp_path, capsys):
-    out = tmp_path / "refined.toml"
-    assert main(["refine", str(rolling), "-o", str(out)]) == 0
-    told = read_calibration(out).provenance
-    for name, late_s in LATE_S.items():
-        assert abs(told["clock_offsets_s"][name] - late_s) < 3 * told["clock_sds_s"][name]
-    assert told["clocks_applied"] is False
-    words = capsys.readouterr().out
-    assert "clock of cam1: +" in words
-    assert "not applied, because a camera misses for another reason as well" in words

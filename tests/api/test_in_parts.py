@@ -88,18 +88,6 @@ def agree(one: Run, other: Run) -> None:
 
 
 @pytest.mark.usefixtures("short")
-def test_stretches_of_any_order_agree_with_the_undisturbed_run(
-    still: Path, whole: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stretches, "spread", _last_first)
-    seen = list[int]()
-    run = measured(still, tmp_path / "run", Workers(2), seen)
-    assert seen == [4, 8, 12]
-    agree(run, whole)
-    assert (run.path / "run.rrd").stat().st_size > 100_000
-
-
-@pytest.mark.usefixtures("short")
 def test_what_no_stretch_can_measure_is_measured_in_turn(
     still: Path, whole: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -280,8 +268,10 @@ def test_a_cluster_measures_stretches_of_one_recording(
     workers = Workers(cluster=cluster.address)
     assert workers.available() == 2
     seen = list[int]()
-    agree(measured(still, tmp_path / "run", workers, seen), whole)
+    run = measured(still, tmp_path / "run", workers, seen)
+    agree(run, whole)
     assert seen == [4, 8, 12]
+    assert (run.path / "run.rrd").stat().st_size > 100_000
 
 
 def test_a_killed_dask_worker_loses_no_recording(cluster, sessions, one_by_one, tmp_path):

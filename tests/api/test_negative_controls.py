@@ -93,9 +93,7 @@ def test_a_camera_upside_down_is_left_out_and_named(scene, rendered, tmp_path):
     assert all(error < RIGHT_MM for error in errors_mm(rendered, found))
 
 
-@pytest.mark.parametrize(
-    "pair", [("cam0", "cam1"), ("cam0", "cam2"), ("cam1", "cam3")], ids="-".join
-)
+@pytest.mark.parametrize("pair", [("cam0", "cam1"), ("cam0", "cam2")], ids="-".join)
 def test_swapped_calibrations_are_never_a_confident_pose(scene, rendered, pair, tmp_path):
     given = swapped_calibrations(scene, *pair).stated_cameras
     write_calibration(tmp_path / "c.toml", Calibration(given))
@@ -111,14 +109,13 @@ def number(pattern: str, said: str) -> float:
     return float(found)
 
 
-@pytest.mark.parametrize(("share", "look"), [(0.95, "larger"), (1.05, "smaller")])
-def test_wrong_radii_are_told_and_measured_with_right_ones(rendered, scene, share, look, tmp_path):
-    balls = tuple(replace(b, radius_mm=share * b.radius_mm) for b in scene.body.balls)
+def test_wrong_radii_are_told_and_measured_with_right_ones(rendered, scene, tmp_path):
+    balls = tuple(replace(b, radius_mm=1.05 * b.radius_mm) for b in scene.body.balls)
     shutil.copytree(rendered, tmp_path / "s")
     write_body(tmp_path / "s" / "body.toml", Body("wrong", balls))
     profile, options = load_profile("precise"), RunOptions(recording=False)
     told = run(tmp_path / "s", tmp_path / "run", profile, Registry.discover(), options)
-    assert any(f"all balls look {look} than the body file says" in note for note in told.notes)
+    assert any("all balls look smaller than the body file says" in note for note in told.notes)
     assert told.ok == told.frame_sets
     found, truth = read_run(tmp_path / "run"), read_trajectory(rendered / "truth.csv")
     off = truth.at(found.times_s).translation - found.world_from_body.translation
@@ -172,12 +169,11 @@ def test_a_wrong_body_file_is_never_a_confident_pose(scene, rendered, change, tm
     assert all(m.status is not Status.OK for m in measured(tmp_path / "s"))
 
 
-@pytest.mark.parametrize("offset_mm", [(0, 0, 5), (0, 3, 3)])
-def test_a_misplaced_ball_gives_no_confident_pose(four, offset_mm, tmp_path):
+def test_a_misplaced_ball_gives_no_confident_pose(four, tmp_path):
     with open_session(four) as session:
         body = session.body
     balls = tuple(
-        replace(b, center_mm=b.center_mm + np.array(offset_mm)) if b.name == "blue" else b
+        replace(b, center_mm=b.center_mm + np.array([0, 3, 3])) if b.name == "blue" else b
         for b in body.balls
     )
     shutil.copytree(four, tmp_path / "s")
@@ -193,7 +189,7 @@ def test_exchanged_lenses_give_no_confident_pose(scene, rendered, tmp_path):
     assert all(m.status is not Status.OK for m in measured(rendered, tmp_path / "c.toml"))
 
 
-@pytest.mark.parametrize("degrees", [0.25, 0.5, 180.0])
+@pytest.mark.parametrize("degrees", [0.25, 180.0])
 def test_a_moved_camera_of_three_gives_no_confident_pose(scene, rendered, degrees, tmp_path):
     axis = [0, 0, 1] if degrees == 180.0 else [0, 1, 0]
     turned = []

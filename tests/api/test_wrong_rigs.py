@@ -92,9 +92,6 @@ RIGS = {
     "scale 0.3 %": Rig(
         spread, 1.003, Level.WEAK, r"the balls are 1\.00[23]\d \+- ", r"the balls are 1\.00[23]"
     ),
-    "scale 1 %": Rig(
-        spread, 1.01, Level.WRONG, r"the balls are 1\.0(09|10)\d* \+?", r"the balls|ball .* mm from"
-    ),
     "focal length 0.5 %": Rig(
         zoomed, 1.005, Level.WEAK, r"cam1: its focal length is -0\.\d+ \+- 0\.\d+ % off"
     ),
@@ -186,13 +183,12 @@ def test_a_right_rig_has_nothing_wrong(still: Path, measured) -> None:
     assert max(deviations(still, measured)) < 3
 
 
-@pytest.mark.parametrize("share", [0.999, 1.001])
 def test_a_scale_too_small_to_be_seen_stands_beside_the_covariance(
-    still: Path, tmp_path: Path, share: float
+    still: Path, tmp_path: Path
 ) -> None:
     """No pose shows it: 95 % regions hold with the scale that the run states, and not without."""
     with open_session(still) as session:
-        write(tmp_path / "c.toml", Calibration(tuple(spread(session.cameras, share))))
+        write(tmp_path / "c.toml", Calibration(tuple(spread(session.cameras, 1.001))))
     options = api.RunOptions(calibration=tmp_path / "c.toml", recording=False)
     api.run(still, tmp_path / "run", api.load_profile(), Registry.discover(), options)
     run = read_run(tmp_path / "run")

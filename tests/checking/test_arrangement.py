@@ -65,8 +65,7 @@ def found(frame_sets, cameras, body=RAVEN):
     return [cause.finding.text for cause in findings(frame_sets, cameras, body)]
 
 
-@pytest.mark.parametrize("body", [RAVEN, FOUR], ids=["flat", "solid"])
-@pytest.mark.parametrize("count", [2, 3, 4, 5])
+@pytest.mark.parametrize(("count", "body"), [(2, RAVEN), (3, FOUR), (5, RAVEN)])
 def test_exchanged_cameras_are_named(count, body):
     (text,) = found(exchanged(seen(rig(count), body), "cam0", "cam1"), rig(count), body)
     assert text.startswith(
@@ -75,7 +74,7 @@ def test_exchanged_cameras_are_named(count, body):
     )
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (0, 1, 2, 3), (0, 2, 1, 3)])
+@pytest.mark.parametrize("order", [(2, 1, 0), (0, 2, 1, 3)])
 def test_so_is_any_order_of_up_to_four(order):
     names = [f"cam{k}" for k in order]
     (text,) = found(exchanged(seen(rig(4)), *names), rig(4))
@@ -109,12 +108,12 @@ def test_it_is_wrong():
     assert finding.level is Level.WRONG
 
 
-@pytest.mark.parametrize("count", [2, 3, 4, 5])
+@pytest.mark.parametrize("count", [2, 5])
 def test_right_pictures_are_left_alone(count):
     assert found(seen(rig(count)), rig(count)) == []
 
 
-@pytest.mark.parametrize("turn_deg", [0.5, 10.0, 180.0])
+@pytest.mark.parametrize("turn_deg", [0.5, 180.0])
 def test_a_camera_that_was_moved_is_none_of_these(turn_deg):
     cameras = rig(4)
     camera = cameras["cam1"]
