@@ -67,7 +67,7 @@ class Turn:
     jpeg: bytes
     camera: HostileCamera
 
-    def part(self, jpeg: bytes | None = None, **more: object) -> bytes:
+    def part(self, jpeg: bytes | None = None, /, **more: object) -> bytes:
         """A part of the stream, like a good camera's but for what is said otherwise."""
         data = self.jpeg if jpeg is None else jpeg
         lines = {

@@ -21,7 +21,7 @@ from collections import Counter
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class Watcher:
     def __init__(self, process: subprocess.Popen[str], poses: socket.socket) -> None:
         self.process, self._poses = process, poses
         self.lines: list[tuple[float, str]] = []
-        self.poses: list[dict[str, object]] = []
+        self.poses: list[dict[str, Any]] = []
         self.memory_mb: list[tuple[float, float]] = []
         self.trials: dict[str, Trial] = {}
         self.needless: list[str] = []
