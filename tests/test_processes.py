@@ -8,9 +8,12 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import pytest
 
+from measure.api import Workers
+from measure.api.spreading import spread
 from measure.processes import until_stopped
 
 SCRIPT = """
@@ -37,6 +40,18 @@ def ends_with_parent(tmp_path, module, name, within_s):
         if not ended:
             os.kill(worker, signal.SIGKILL)
     return bool(ended)
+
+
+def once_killed(mark):
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return mark.name
+
+
+def test_a_job_whose_process_is_killed_is_begun_again(tmp_path):
+    jobs = [partial(once_killed, tmp_path / name) for name in "ab"]
+    assert dict(spread(jobs, Workers(2))) == {0: "a", 1: "b"}
 
 
 def test_they_end_when_their_parent_is_killed(tmp_path):

@@ -17,7 +17,8 @@ from measure.cli import main
 from measure.errors import MeasureError
 from measure.results import read_run
 from measure.simulation import write_session
-from tests.simulated.catalogue import occluded_scene, webcam_scene
+from measure.simulation.catalogue import webcam_scene
+from tests.simulated.catalogue import occluded_scene
 from tests.simulated.sessions import part_of
 
 SETS = 20

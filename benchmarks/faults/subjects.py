@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from importlib import resources
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -24,6 +25,7 @@ from measure.host.estimator import quiet
 from measure.robots import RobotLog
 from measure.session import read_calibration, write_calibration
 from measure.simulation import write_session
+from measure.simulation.catalogue import webcam_scene
 from measure_learning.api import shipped_model
 from measure_learning.core import files, split_by_trajectory
 from measure_learning.onnx import checkpoint
@@ -36,7 +38,6 @@ from tests.learning.robots.test_logs import RAVEN_STATE, _write_counted
 from tests.results.conftest import CAMERAS, PERIOD_S, measurement, write_truth, written
 from tests.session.conftest import write_recording
 from tests.simulated.capture import CaptureScene, write_capture
-from tests.simulated.catalogue import webcam_scene
 
 SETS = 8
 _ROBOT = """\
@@ -223,7 +224,8 @@ def write_seeds(
     write_truth(folder / "truth.csv", SETS * PERIOD_S)
     rows = [f"{camera.name},{k},red,{300 + k},200" for camera in CAMERAS for k in range(3)]
     (folder / "marks.csv").write_text("\n".join(["camera,frame,ball,u_px,v_px", *rows]) + "\n")
-    shutil.copy(resources.files("measure") / "profiles" / "paper.toml", folder / "profile.toml")
+    profile = resources.files("measure") / "profiles" / "paper.toml"
+    (folder / "profile.toml").write_bytes(profile.read_bytes())
     write_capture(CaptureScene(), folder / "capture", pictures=False)
     if robot:
         _write_robot(folder)
@@ -257,7 +259,10 @@ def _write_other_sessions(folder: Path) -> None:
 def _write_video(session: Path, camera: str, file: str, codec: str) -> None:
     with av.open(str(session / file), "w") as out:
         stream = out.add_stream(codec, rate=30, options={"crf": "1"} if codec != "mjpeg" else {})
-        pictures = [cv2.imread(str(path)) for path in sorted((session / camera).iterdir())]
+        pictures = [
+            np.asarray(cv2.imread(str(path)), np.uint8)
+            for path in sorted((session / camera).iterdir())
+        ]
         stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt = "yuv420p" if codec != "mjpeg" else "yuvj420p"
         for pixels in pictures:
@@ -317,7 +322,7 @@ def _write_ros2(path: Path, log: RobotLog) -> None:
     ends = np.cumsum([field.per_arm for field in FIELDS])
     with Bag(path, f".{path.name}", {MESSAGE: DEFINITION}) as bag:
         for time_s, numbers in zip(log.times_s, log.states, strict=True):
-            state = {
+            state: dict[str, Any] = {
                 field.name: np.tile(part, 2).astype(np.int32 if field.integer else np.float32)
                 for field, part in zip(FIELDS, np.split(numbers, ends[:-1]), strict=True)
             }
@@ -328,7 +333,7 @@ def _write_ros2(path: Path, log: RobotLog) -> None:
 
 def _write_checkpoint(folder: Path) -> None:
     """As a kill leaves it."""
-    estimator = Registry.discover().build(Estimator, "mlp", {"epochs": 3})
+    estimator: Any = Registry.discover().build(Estimator, "mlp", {"epochs": 3})
     estimator.checkpoint = folder / "net.checkpoint"
     split = split_by_trajectory(files.read_dataset(folder / "set.parquet"))
     before, checkpoint.EVERY_S = checkpoint.EVERY_S, 0.0

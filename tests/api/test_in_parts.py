@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -25,15 +24,6 @@ from tests.simulated.sessions import part_of
 
 pytestmark = pytest.mark.slow
 
-SCRIPT = """
-import sys
-from pathlib import Path
-from tests.api.test_in_parts import measure
-
-if __name__ == "__main__":
-    out, *sessions = map(Path, sys.argv[1:])
-    print([outcome.error for outcome in measure(sessions, out, workers=2)])
-"""
 FRAMES = 4
 SETS, KEPT = 12, 7
 RUN_UP_SETS = 3
@@ -234,26 +224,6 @@ def test_no_scheduler_is_said_in_one_line(tmp_path, monkeypatch):
         measure([tmp_path / "x"], tmp_path, cluster="nonsense")
 
 
-def test_a_killed_process_loses_no_recording(sessions, one_by_one, tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT)
-    root = Path(__file__).resolve().parents[2]
-    out = tmp_path / "runs"
-    process = subprocess.Popen(
-        [sys.executable, script, out, *sessions],
-        cwd=root,
-        env={**os.environ, "PYTHONPATH": str(root)},
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    wait_for(lambda: list(out.glob("*/poses.csv")), process)
-    os.kill(worker_of(process.pid), signal.SIGKILL)
-    printed, _ = process.communicate(timeout=240)
-    assert printed.strip() == "['', '', '']"
-    assert poses(out) == one_by_one
-    assert leftovers(out) == []
-
-
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory) -> Iterator[Cluster]:
     """Two workers; the last test that uses them kills one."""
@@ -290,13 +260,3 @@ def test_a_killed_dask_worker_loses_no_recording(cluster, sessions, one_by_one, 
     assert [run["error"] for run in runs] == [None, None, None]
     assert [run["frame_sets"] for run in runs] == [FRAMES] * 3
     assert poses(out) == one_by_one
-
-
-def worker_of(parent: int) -> int:
-    """The process id of one pool worker: a spawned child that is not the resource tracker."""
-    children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
-    for child in map(int, children):
-        words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
-        if any(b"spawn_main" in word for word in words):
-            return child
-    raise AssertionError("no worker")

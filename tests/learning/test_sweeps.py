@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -152,32 +150,6 @@ def test_a_silent_trial_is_given_up_and_a_living_one_is_not(
     sweeping.finish(study, living, lambda: 2.0)
     assert sweeping.sweep_state(study).best[0][0] == 2.0
     assert sweeping.ask(study, space)[1] == settings
-
-
-@pytest.mark.slow
-def test_a_killed_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
-    space, journal = tmp_path / "space.toml", tmp_path / "journal.log"
-    space.write_text(SPACE)
-    words = [sys.executable, "-m", "measure", "sweep", str(data), str(space)]
-    words += ["--journal", str(journal), "--estimator", "ridge", "--trials", "8", "--json"]
-    with (tmp_path / "out.json").open("w") as out:
-        one = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        two = subprocess.Popen(words, stdout=out, stderr=subprocess.DEVNULL)
-        deadline = time.monotonic() + 60
-        while not (journal.exists() and journal.stat().st_size > 2000):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        one.kill()
-        one.wait()
-        assert two.wait(timeout=120) == 0
-    state = json.loads((tmp_path / "out.json").read_text())
-    assert state["finished"] >= 8
-    assert state["running"] == 0
-    scores = [score for score, _ in state["best"]]
-    assert len(scores) >= 8
-    assert scores == sorted(scores)
-    assert all(0 < score < 100 for score in scores)
 
 
 def test_a_scheduler_that_is_not_there_is_named(
