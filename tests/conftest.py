@@ -25,7 +25,7 @@ _CALM = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 
 # A red build means a change, not a lucky draw. `pytest --hypothesis-profile=search` looks further.
 settings.register_profile(
-    "suite", deadline=None, derandomize=True, max_examples=40, suppress_health_check=_CALM
+    "suite", deadline=None, derandomize=True, max_examples=25, suppress_health_check=_CALM
 )
 settings.register_profile("search", deadline=None, max_examples=1500, suppress_health_check=_CALM)
 settings.load_profile("suite")

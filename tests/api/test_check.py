@@ -134,24 +134,5 @@ def test_a_camera_moved_midway_is_named_with_the_time(renders, tmp_path, capsys)
 
 
 @pytest.mark.slow
-def test_a_clock_that_steps_is_the_first_cause_and_the_first_line(renders, tmp_path, capsys):
-    session = tmp_path / "still"
-    shutil.copytree(still(renders), session)
-    head, *rows = (session / "cam1.csv").read_text().split()
-    pairs = [row.split(",") for row in rows]
-    late = [f"{n},{float(t) + 0.1 * (int(n) >= 5):.9f}" for n, t in pairs]
-    (session / "cam1.csv").write_text("\n".join([head, *late]) + "\n")
-    given = ["check", str(session), "--samples", "12", "--clock-samples", "30"]
-    assert main([*given, "--json"]) == 3
-    cause, *_ = json.loads(capsys.readouterr().out)["causes"]
-    keys = {"cause", "of", "estimate", "sd", "unit", "explains", "rivals", "remedy", "level"}
-    assert keys <= cause.keys()
-    assert (cause["cause"], cause["of"], cause["unit"]) == ("clock-step", "cam1", "ms")
-    assert cause["estimate"] == pytest.approx(100, abs=8)
-    assert main(given) == 3
-    assert capsys.readouterr().out.startswith("clock-step of cam1 (wrong): ")
-
-
-@pytest.mark.slow
 def test_an_occluder_does_not_end_the_check(renders, capsys):
     assert alarms(renders / "occluded", capsys) == []

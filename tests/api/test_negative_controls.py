@@ -93,9 +93,8 @@ def test_a_camera_upside_down_is_left_out_and_named(scene, rendered, tmp_path):
     assert all(error < RIGHT_MM for error in errors_mm(rendered, found))
 
 
-@pytest.mark.parametrize("pair", [("cam0", "cam1"), ("cam0", "cam2")], ids="-".join)
-def test_swapped_calibrations_are_never_a_confident_pose(scene, rendered, pair, tmp_path):
-    given = swapped_calibrations(scene, *pair).stated_cameras
+def test_swapped_calibrations_are_never_a_confident_pose(scene, rendered, tmp_path):
+    given = swapped_calibrations(scene, "cam0", "cam2").stated_cameras
     write_calibration(tmp_path / "c.toml", Calibration(given))
     assert all(m.status is not Status.OK for m in measured(rendered, tmp_path / "c.toml"))
 

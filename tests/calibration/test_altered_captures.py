@@ -242,19 +242,6 @@ def test_squares_a_little_off_are_noticed_by_the_second_target(altered) -> None:
     assert cost_mm(capture) < 0.1
 
 
-def test_too_few_views(altered, capsys) -> None:
-    capture = altered("cam0")
-    capture.with_views("cam0", [capture.view("cam0", n) for n in (0, 4, 6, 8)])
-    assert "cam0: 4 different sharp views of the board, at least 5" in refusal(capture, capsys)
-
-
-def test_views_all_alike(altered, capsys) -> None:
-    capture = altered("cam0")
-    view = capture.view("cam0", 4)
-    capture.with_views("cam0", [np.roll(view, n, axis=(0, 1)) for n in range(6)])
-    assert "(5 more are all alike)" in refusal(capture, capsys)
-
-
 def test_camera_turned_half_a_degree_between_its_pictures(altered, capsys) -> None:
     capture = altered("cam1")
     capture.without_hand_marks()

@@ -116,7 +116,8 @@ def test_a_picture_without_a_board_is_refused_politely(shared: Path) -> None:
     for file in sorted(folder.glob("*.jpg")):
         gray = np.asarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), np.uint8)
         if board.find(gray) is None:
-            without.append((file.name, np.dstack([gray] * 3)))
+            without = [(file.name, np.dstack([gray] * 3))]
+            break
     assert without
     with pytest.raises(CalibrationError, match="cam: no board found in any of"):
         find_views(board, without, "cam")
@@ -146,7 +147,7 @@ def test_the_rendered_capture_costs_the_body_next_to_nothing(renders: Path) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "focal_px"), [(0, 884), (2, 642)])
+@pytest.mark.parametrize(("number", "focal_px"), [(2, 642)])
 def test_four_real_webcams_from_inverted_charuco_videos(
     shared: Path, tmp_path: Path, number: int, focal_px: float
 ) -> None:

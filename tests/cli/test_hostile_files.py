@@ -28,9 +28,8 @@ def test_a_pipe_among_a_sessions_files(recording: Recording, name: str, capsys) 
     assert f"{name}: is a pipe, not an ordinary file" in line
 
 
-@pytest.mark.parametrize("name", _FILES)
-def test_a_link_to_a_device_among_a_sessions_files(recording: Recording, name: str, capsys) -> None:
-    file = recording.path / name
+def test_a_link_to_a_device_among_a_sessions_files(recording: Recording, capsys) -> None:
+    file = recording.path / (name := "cam1.csv")
     file.unlink()
     file.symlink_to("/dev/zero")
     line = complaint(capsys, *run_words(recording))
@@ -57,7 +56,7 @@ def test_links_in_a_circle_are_not_followed(recording: Recording, capsys) -> Non
     assert main([*run_words(recording)]) == 0
 
 
-@pytest.mark.parametrize("name", ["poses.parquet", "balls.arrows", "run.toml", "body.toml"])
+@pytest.mark.parametrize("name", ["poses.parquet", "balls.arrows", "run.toml"])
 def test_a_pipe_among_a_runs_files(recording: Recording, name: str, capsys) -> None:
     assert main([*run_words(recording)]) == 0
     file = recording.path.with_name("run") / name

@@ -21,7 +21,7 @@ from tests.session.conftest import jpeg, write_recording
 from tests.simulated.catalogue import scene_catalogue
 from tests.simulated.sessions import rendered
 
-_SETS = 14
+_SETS = 24
 
 
 def slipped(cameras: tuple[Camera, ...], mm: float, degrees: float) -> tuple[Camera, ...]:

@@ -124,13 +124,6 @@ def test_no_hook_is_documented_that_does_not_exist():
     assert documented == {kind.hook for kind in hooks.KINDS}
 
 
-def test_every_setting_helper_named_in_the_page_exists():
-    host = sys.modules["measure.host"]
-    for name in ("Settings", "hookimpl", "setting", "SelfCalibratingDetector"):
-        assert name in PLUGIN_PAGE
-        assert hasattr(host, name)
-
-
 def test_optional_members_are_documented_with_their_signatures():
     for member, value in vars(SelfCalibratingDetector).items():
         if getattr(value, "__isabstractmethod__", False):

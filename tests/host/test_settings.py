@@ -54,11 +54,6 @@ def test_messages_name_the_owner_the_setting_and_the_value(values, message):
     assert "pydantic" not in str(caught.value)
 
 
-def test_a_missing_setting_is_named():
-    with pytest.raises(ConfigError, match=r"'path': field required$"):
-        read_settings(Needy, {}, "estimator 'y'")
-
-
 def test_no_settings_says_so():
     with pytest.raises(ConfigError, match="unknown setting 'a'; it has no settings"):
         read_settings(Settings, {"a": 1}, "solver 'z'")

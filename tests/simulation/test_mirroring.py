@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from measure.geometry import RigidTransform
 from measure.simulation import Capsule, Cuboid, Material, Sphere
 from tests.simulation.mirror_rooms import (
     CENTER,
-    EVEN,
     RADIUS,
     SMOOTH,
     beside,
@@ -25,8 +22,7 @@ from tests.simulation.mirror_rooms import (
 from tests.simulation.test_renderer import small_camera
 
 
-@pytest.mark.parametrize("roughness", [0.0, 0.02, 0.08, 0.3])
-@pytest.mark.parametrize("reflectance", [0.04, 0.3, 1.0])
+@pytest.mark.parametrize(("roughness", "reflectance"), [(0.0, 1.0), (0.02, 0.3), (0.3, 0.04)])
 def test_nothing_is_seen_in_a_room_of_even_light(roughness, reflectance) -> None:
     """The furnace: white things that lose no light vanish, also beside each other."""
     white = Material((1.0, 1.0, 1.0), reflectance, roughness)
@@ -38,13 +34,6 @@ def test_nothing_is_seen_in_a_room_of_even_light(roughness, reflectance) -> None
     )
     picture = seen(scene(*things, walls=closed_room((1.0, 1.0, 1.0))))
     assert np.abs(picture - 1.0).max() < 1e-6
-
-
-def test_things_that_lose_light_are_seen_there() -> None:
-    ball = Sphere(CENTER, RADIUS, Material((0.0, 0.0, 0.0), 0.9, 0.08))
-    picture = seen(scene(ball, walls=closed_room((1.0, 1.0, 1.0))))
-    assert picture.min() == pytest.approx(0.9, abs=0.002)
-    assert picture.max() == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_smooth_ball_shows_what_its_mirrored_rays_meet() -> None:
@@ -71,11 +60,3 @@ def test_the_outline_mirrors_what_lies_just_outside() -> None:
     found = picture[pixels[:, 1], pixels[:, 0]]
     assert np.abs(found - fresnel[:, None] * wall).max() < 1e-6
     assert fresnel.max() > 0.25
-
-
-def test_surroundings_fade_to_black_at_the_horizon() -> None:
-    light = replace(EVEN, surround_rgb=(0.6, 0.8, 1.0))
-    bare = scene(Sphere(CENTER, RADIUS, SMOOTH), light=light)
-    pixels, _, _, on = mirrored_rays(bare.cameras[0])
-    found = seen(bare)[pixels[:, 1], pixels[:, 0]]
-    assert np.abs(found - np.maximum(on[:, 2:], 0) * (0.6, 0.8, 1.0)).max() < 1e-6

@@ -64,12 +64,6 @@ def test_a_plugin_is_listed_beside_the_built_ins(listed):
     assert owners == {"triball", *(f"acme-{name}" for name in WHOLE)} - {"acme-count", "acme-rows"}
 
 
-def test_its_settings_are_shown(environment: Environment):
-    out = environment.measure("plugins", "show", "blob", *WITHOUT_CLASH).stdout
-    assert "detector 'blob' of acme-blob 0.3.1" in out
-    assert "Least share of its circle that a patch fills." in out
-
-
 def test_broken_plugins_are_survived_with_their_reasons(listed):
     reasons = {item["distribution"]["name"]: item["error"] for item in listed["broken"]}
     assert set(reasons) == {"acme-broken", "acme-wrong-hook"}
