@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import platform
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from benchmarks.recordings import (
 )
 from benchmarks.scale import HEAD as SCALE_HEAD
 from benchmarks.scale import rows as scale_rows
-from benchmarks.tables import FIGURES, Rows, markdown, measured_rows, typical
+from benchmarks.tables import FIGURES, Rows, markdown, measured_rows, typical, typical_by
 from measure.processes import processes
 from measure.results import versions
 
@@ -42,20 +42,21 @@ python -m benchmarks --frames 8 --jobs 2 --out docs/benchmarks.md
 
 - *centre px* (RMS per axis), *position mm* and *rotation deg* (RMS) are over what has been found:
   read them with *no pose %*, the share of frame sets without a pose, and *wrong %*, of those
-  that the method believes although they are more than 2 mm off.
+  that the method does not flag although they are more than 2 mm off.
 - *x bound* is the position's RMS over its Cramér-Rao bound, the least that pixel noise alone
   allows with the contrast, the noise and the visible outlines of that recording (less than a
   micrometre): all else is systematic error.
 - *in 95 %* is the share of poses whose reported 95 % ellipsoid holds the true position. Frame
   sets of one recording err alike; see [what the uncertainty means](explanation/uncertainty.md)
   for what more recordings say.
-- *typical* rows are geometric means, and means of shares.
+- *typical* rows are geometric means, and means of shares. `--only NAME` prints each recording
+  whose name contains it, by every method.
 - *first* and *later* are the CPU time of the first frame set (search) and the median of the
   others, decoding apart, as multiples of one `cv2.cvtColor(BGR2HSV)` of one picture, timed in
   turn with them; what is learnt from the first pictures before that is not in it.
 
 `own` and unusual recordings are rendered by `measure.simulation`, their calibration exact; the
-others by a path tracer that is not part of the program, and appear where they are at hand.
+others by a path tracer that is not part of the program, and appear where they are available.
 
 """
 ALL_METHODS = """## All methods
@@ -94,7 +95,7 @@ PHOTOGRAPHS = """## Photographs
 
 Real balls on photographs, with outlines marked by hand to 0.15-0.4 px: {balls} of 9 to {most:.0f}
 px radius, foam, perforated and glossy. Searched in whole pictures from nothing, then measured where
-they are told to be, 1.8 px aside: the share found within a quarter of the radius, RMS error of
+they are expected, 1.8 px aside: the share found within a quarter of the radius, RMS error of
 centres, and how many 95 % regions, with the marks' own error, hold the marks. This table alone:
 `python -m benchmarks --only photographs`.
 
@@ -110,6 +111,14 @@ six bodies of three balls. This table alone: `python -m benchmarks --only scale`
 """
 APART = {ALTERED: ALTERED_RECORDINGS, RELIT: RELIT_SCENES, UNUSUAL: UNUSUAL_PICTURES}
 """Prefixes of recordings with a table of their own, and the text above it."""
+KINDS: dict[str, Callable[[str], str]] = {
+    ALTERED: lambda name: name.split()[-1],
+    RELIT: lambda name: name.split()[0],
+    UNUSUAL: lambda name: name,
+}
+"""What of a recording's name says which others are like it."""
+IN_EVERY_RECORDING = ("paper profile", DEFAULT)
+"""Methods with a row for each recording; of the others the page has what is typical."""
 
 
 def _options() -> argparse.Namespace:
@@ -190,15 +199,16 @@ def _sections(given: argparse.Namespace, folder: Path) -> Iterator[str]:
     for name, rows in _measured(given, folder).items():
         kind = next((kind for kind in APART if name.startswith(kind)), None)
         if kind is None:
-            whole += [(f"**{name}**" if i == 0 else "", *row) for i, row in enumerate(rows)]
+            whole += [(name, *row) for row in rows]
         else:
             apart[kind] += [(name.removeprefix(kind), *row) for row in rows]
     if whole:
-        yield ALL_METHODS + markdown(("recording", "method", *FIGURES), whole)
+        each = [row for row in whole if given.only or row[1] in IN_EVERY_RECORDING]
+        yield ALL_METHODS + markdown(("recording", "method", *FIGURES), each + typical(whole))
     for kind, rows in apart.items():
         if rows:
-            more = typical(rows) if len(rows) > 1 else []
-            yield APART[kind] + markdown(("recording", "method", *FIGURES), rows + more)
+            shown = rows if given.only else typical_by(rows, KINDS[kind])
+            yield APART[kind] + markdown(("recording", "method", *FIGURES), shown)
     if given.only in "photographs" and (balls := marked_balls()):
         most = max(ball.radius_px for ball in balls)
         rows = [row for row in photograph_rows(balls) if given.methods in row[0]]

@@ -23,7 +23,7 @@ from measure_plugins.detectors.outline import OutlineDetector
 
 MakeDetector = Callable[[Body, Camera], Detector]
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
-HEAD = ("method", "found %", "centre px", "in 95 %", "told: found %", "centre px", "in 95 %")
+HEAD = ("method", "found %", "centre px", "in 95 %", "expected: found %", "centre px", "in 95 %")
 _MARKS = ("photographs", "dvrk_red_spheres")
 """Folders with outlines marked by hand."""
 _FINE = ("posts", "sorter")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -61,11 +61,15 @@ def _cells(trial: Trial) -> tuple[str, ...]:
     )
 
 
-def typical(rows: Rows) -> Rows:
+def typical(rows: Rows, of: str = "") -> Rows:
     """A row for every method in rows (recording, method, figures): what is typical of all of them.
 
     Geometric means, for what is twice as far off in one scene may be half as far off in another;
     plain means of shares.
+
+    Args:
+        rows: recording, method and figures.
+        of: what the recordings have in common.
     """
     out: Rows = []
     for method in dict.fromkeys(row[1] for row in rows):
@@ -75,8 +79,20 @@ def typical(rows: Rows) -> Rows:
             with np.errstate(divide="ignore"):
                 mean = np.mean(column) if name.endswith("%") else np.exp(np.mean(np.log(column)))
             cells.append(f"{mean:.{len(text.partition('.')[2])}f}")
-        out.append((f"typical of {len(figures)}", method, *cells))
+        count = f"typical of {len(figures)}"
+        out.append((f"{of} ({count})" if of else count, method, *cells))
     return out
+
+
+def typical_by(rows: Rows, kind: Callable[[str], str]) -> Rows:
+    """What is typical of each kind of recording, and of all; one alone in its kind stays."""
+    kinds: dict[str, Rows] = {}
+    for row in rows:
+        kinds.setdefault(kind(row[0]), []).append(row)
+    out: Rows = []
+    for name, group in kinds.items():
+        out += typical(group, name) if len({row[0] for row in group}) > 1 else group
+    return out + typical(rows)
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
