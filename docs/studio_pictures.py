@@ -69,9 +69,8 @@ def _calibrate(page: Chromium, scratch: Path, folder: Path | None) -> None:
     with serving(cameras) as found, studio(scratch / "set-up", *_words(found)) as address:
         go(page, address + "calibration")
         press(page, "wave the board")
-        page.wait_for(f"/Accurate enough/.test({new.ADVICE}) && {LIVE}", 120)
+        page.wait_for(f"/tilt|more places/.test({new.ADVICE}) && {LIVE}", 120)
         _take(page, "calibration", folder)
-        press(page, "enough for me")
         page.wait_for(f"/calibrated/.test({new.JUDGEMENT})", 120)
         _take(page, "calibrated", folder)
         new.serve(cameras, {n: new.at_rest(some[0], rng) for n, some in pictures.items()})

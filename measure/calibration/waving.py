@@ -16,7 +16,7 @@ from measure.calibration.common_views import fit_common_views
 from measure.calibration.findings import workspace_of
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.other_boards import OtherBoard, other_board
-from measure.calibration.views import ALL_VIEWS, BLURRED_SHARE, MIN_VIEWS, choose_views, outline
+from measure.calibration.views import ALL_VIEWS, BLURRED_SHARE, choose_views, outline
 from measure.errors import CalibrationError, DegenerateGeometryError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
@@ -72,25 +72,16 @@ class WaveState:
     other: OtherBoard | None = None  # the board that is seen instead of the chosen one
 
     @property
-    def accurate(self) -> bool:
-        """Whether the goal is reached, though views may still be missing."""
-        return self.position_sd_mm <= self.goal_mm
-
-    @property
     def enough(self) -> bool:
-        """Whether lens and rig are as good as was asked for."""
-        return not self.advice
+        """Whether lenses and rig are as good as was asked for."""
+        return self.position_sd_mm <= self.goal_mm
 
     def sentence(self) -> str:
         """How good it is, for people."""
         if np.isnan(self.position_sd_mm):
             return "too few views to say how good the calibration will be"
-        said = f"expected error at the body {self.position_sd_mm:.3f} mm, "
-        if self.enough:
-            return f"{said}good enough"
-        if not self.accurate:
-            return f"{said}not good enough yet"
-        return f"{said}accurate enough; still to do: {self.advice[0]}"
+        judged = "good enough" if self.enough else "not good enough yet"
+        return f"expected error at the body {self.position_sd_mm:.3f} mm, {judged}"
 
 
 @dataclass
@@ -187,16 +178,21 @@ class BoardWave:
             pair: sum(set(pair) <= set(one) for one in self.kept)
             for pair in combinations(self.sizes_wh, 2)
         }
+        state = WaveState(cameras, pairs, self._sd_mm, self.goal_mm, (), self._other)
+        return state if state.enough else replace(state, advice=self._lacks(cameras, pairs))
+
+    def _lacks(
+        self, cameras: Mapping[str, CameraWave], pairs: Mapping[tuple[str, str], int]
+    ) -> tuple[str, ...]:
+        """What to do next, the most useful first."""
         lacks = [*_advice(cameras), *_unconnected(list(cameras), pairs)]
-        if not (lacks or self._sd_mm <= self.goal_mm):
+        if not lacks:
             lacks = [self._problem or "every camera: show the board in other places and tilts"]
         if self._other:
             lacks.insert(0, self._other.text)
         elif self._unseen_looks >= _UNSEEN_LOOKS:
             lacks.insert(0, f"no {self.board.title} is found: is it this one? Show all of it")
-        period_s = self._look_s[0] - self._look_s[1]
-        advice = (*_at_once(cameras, period_s), *lacks) if lacks else ()
-        return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, advice, self._other)
+        return (*_at_once(cameras, self._look_s[0] - self._look_s[1]), *lacks)
 
     def _slip_px(self, name: str, at: Floats, times_s: Mapping[str, float]) -> float:
         """How far the board moved in this camera while the instant lasted."""
@@ -279,7 +275,7 @@ class BoardWave:
                 views = choose_views(self.board, self._views(name), size_wh, name, None, ALL_VIEWS)
                 start = start_intrinsics(size_wh, points, views.views)
                 # As free as a lens may be: a stiffer one would promise more than it can keep.
-                model = LENS_MODELS[3 if len(views.views) > 2 * MIN_VIEWS else 1]
+                model = LENS_MODELS[3]
                 fit = fit_lens(start, points, views.views, model, huber=1.0)
                 lenses[name] = LensCalibration(fit, model, {}, (), views)
             cameras, around, joint = fit_common_views(self.board, lenses)

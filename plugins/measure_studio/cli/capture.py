@@ -58,4 +58,4 @@ def capture(
             console.print_text(line)
         written = f"next: measure calibrate {out} -o calibration.toml"
         console.print_text(f"written to {out}; {written}" if seen else "no picture was kept")
-    return 0 if state is not None and state.accurate else console.UNBELIEVABLE
+    return 0 if state is not None and state.enough else console.UNBELIEVABLE

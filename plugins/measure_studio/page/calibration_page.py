@@ -34,7 +34,6 @@ from measure_studio.page.layout import (
     undo,
 )
 
-_ROWS = ("upper", "middle", "lower")  # By which advice names a part of a picture
 _FINEST_MM = 0.01
 _ADVISED = 2  # Pieces of advice that are shown at a time: hands follow no more
 
@@ -70,7 +69,7 @@ class _Wave:
                     ),
                     body=body,
                     goal_mm=self.goal_mm,
-                    on_state=lambda state: self._note(job, state),
+                    on_state=partial(setattr, self, "state"),
                     on_corners=self._see,
                 )
             finally:
@@ -84,13 +83,6 @@ class _Wave:
             return bench.calibrated(job, out, self._hear, body)
 
         bench.begin("watching the board", work, needs_cameras=True, waits=waits)
-
-    def _note(self, job: Job, state: api.WaveState) -> None:
-        """Hear how far it is; it ends once it is accurate, and no part of a picture is empty."""
-        self.state = state
-        if state.accurate and not _empty_parts(state):
-            self.suffices = True
-            job.stop.set()
 
     def take_other(self, body: Path | None) -> str:
         """Take the board that is seen, in place of the chosen one, and wave on.
@@ -129,9 +121,9 @@ class _Wave:
         self.result, self.report = result, report
 
     @property
-    def is_accurate(self) -> bool:
-        """Whether the goal is reached, though parts of pictures may still be empty."""
-        return self.state is not None and self.state.accurate
+    def can_calibrate(self) -> bool:
+        """Whether cameras can be calibrated by what is kept already."""
+        return self.state is not None and self.state.position_sd_mm > 0
 
     @property
     def share(self) -> float:
@@ -146,8 +138,6 @@ class _Wave:
             return ""
         if self.state is None:
             return "show the board to the cameras"
-        if self.is_accurate and (lacks := _empty_parts(self.state)):
-            return "\n".join(["Accurate enough. Better still:", *lacks[:_ADVISED]])
         return "\n".join(self.state.advice[:_ADVISED])
 
     def reached(self) -> str:
@@ -172,11 +162,6 @@ class _Wave:
         if seen is None or facts is None:
             return ""
         return overlays.over(facts.size_wh, overlays.cells(facts.size_wh, seen.cells))
-
-
-def _empty_parts(state: api.WaveState) -> list[str]:
-    """What to do about parts of pictures in which the board was never seen."""
-    return [one for one in state.advice if any(f"at the {row}" in one for row in _ROWS)]
 
 
 def _kept(last: api.WaveState) -> str:
@@ -244,7 +229,7 @@ def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> Non
 
     def show() -> None:
         begin.set_visibility(not bench.busy)
-        enough.set_visibility(wave.is_waved and wave.is_accurate)
+        enough.set_visibility(wave.is_waved and wave.can_calibrate)
         seen = wave.state.other if wave.is_waved and wave.state is not None else None
         other.set_visibility(seen is not None and seen.board is not None)
         shown.set_visibility(wave.is_waved)
