@@ -30,9 +30,10 @@ def lowest(session: nox.Session) -> None:
 def built(session: nox.Session, kind: str) -> None:
     """What is built, installed and used in a folder outside the checkout."""
     out = Path(session.create_tmp()).resolve()
-    session.install("build")
+    session.install("build", "twine")
     session.run("python", "-m", "build", f"--{kind}", "--outdir", str(out))
     (made,) = out.glob("*.whl" if kind == "wheel" else "*.tar.gz")
+    session.run("twine", "check", "--strict", str(made))
     session.install(str(made))
     session.chdir(out)
     session.run("measure", "demo", "-o", str(out / "demo"), "--frames", "2")
