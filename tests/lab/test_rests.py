@@ -116,7 +116,7 @@ def test_a_body_that_never_rests_has_none_and_it_is_said_why(rng):
     truth = RigidTransform(np.broadcast_to(np.eye(3), (200, 3, 3)), [40.0, 30, 200] * np.sin(t))
     found = find_rests(poses_of(truth, Errors(), rng), EXACT)
     assert not found.rests
-    assert "never stands still" in found.told()
+    assert "never stands still" in found.listed()
 
 
 def test_a_creeping_body_is_not_one_rest(rng):
