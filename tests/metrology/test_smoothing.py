@@ -39,8 +39,7 @@ def judged(errors: Errors, seconds: float, rng: np.random.Generator):
     return np.array([*squares, *(np.sqrt(np.mean(e[:, :3] ** 2)) for e in (raw, off, fast))])
 
 
-@pytest.mark.parametrize("seconds", [0.2, 1.0])
-@pytest.mark.parametrize("errors", [Errors(), Errors(nearby=0.7)], ids=str)
+@pytest.mark.parametrize(("errors", "seconds"), [(Errors(), 1.0), (Errors(nearby=0.7), 0.2)])
 def test_covariances_hold_also_where_a_cubic_is_not_the_motion(errors, seconds, rng):
     pose, velocity, raw, smooth, _ = np.mean([judged(errors, seconds, rng) for _ in range(3)], 0)
     assert 0.2 < pose < 1.4
