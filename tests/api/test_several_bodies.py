@@ -22,7 +22,7 @@ from measure.simulation.scene import Actor, ball_shapes
 from tests.simulated.mirroring import mirrored
 from tests.simulated.sessions import rendered
 
-FRAMES, GONE = 5, 2
+FRAMES, GONE = 8, 2
 """In the last frame sets the reference is out of view."""
 TOOL = {"green": (32.0, 0.0, 0.0), "yellow": (0.0, 34.0, 0.0), "red": (-30.0, -6.0, 8.0)}
 BASE = {"green": (0.0, 40.0, 0.0), "yellow": (27.0, -22.0, 0.0), "red": (-25.0, -20.0, 4.0)}

@@ -180,7 +180,7 @@ def test_pictures_of_a_moving_body_bring_the_cameras_together(tmp_path) -> None:
     """Before cameras that are not quite where the file says."""
     out, true = tmp_path / "refined.toml", true_cameras()
     scene = replace(scene_catalogue()["still"], cameras=true)
-    scene = replace(scene, stated_cameras=slipped(true, 0.4, 0.08))
+    scene = replace(scene, stated_cameras=slipped(true, 0.5, 0.1))
     session = rendered(scene, np.arange(_SETS) * 0.1)
     assert main(["refine", str(session), "-o", str(out)]) == 0
     first, found = (read_calibration(f).cameras for f in (session / "calibration.toml", out))

@@ -84,7 +84,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that the tutorial's first command makes, with fewer frame sets."""
     folder = tmp_path_factory.mktemp("docs")
     with contextlib.chdir(folder):
-        _run(f"{DEMO} --frames 6")
+        _run(f"{DEMO} --frames 10")
     return folder / "triball-demo"
 
 
