@@ -118,7 +118,7 @@ class Process:
         """Wait until SIGSTOP has stopped it."""
         stat = Path(f"/proc/{self.pid}/stat")
         until = time.monotonic() + _AT_MOST_S
-        while stat.read_text().rpartition(")")[2].split()[0] != "T":
+        while stat.read_text("utf-8").rpartition(")")[2].split()[0] != "T":
             assert time.monotonic() < until, "it was not stopped"
             assert self._process.is_alive(), self._log.read_text()
             time.sleep(0.01)

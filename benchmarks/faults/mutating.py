@@ -133,7 +133,7 @@ def deep(path: Path, draw: random.Random) -> str:
     opened, closed = draw.choice([("[", "]"), ("{a=", "}"), ("a.", "")])
     nested = opened * _DEEP + "1" + closed * draw.choice([0, _DEEP])
     extra = nested if opened == "[" or not text.startswith("{") else '{"a":' * _DEEP
-    path.write_text(draw.choice([f"{text}\nx = {extra}\n", f"x = {extra}\n{text}", extra]))
+    path.write_text(draw.choice([f"{text}\nx = {extra}\n", f"x = {extra}\n{text}", extra]), "utf-8")
     return "nested too deep"
 
 
@@ -228,7 +228,7 @@ def other_values(values: Any, draw: random.Random) -> Any:
 
 def other_json(path: Path, draw: random.Random) -> str:
     """A JSON file one of whose values is of another type, gone, or nested too deep."""
-    path.write_text(json.dumps(other_values(json.loads(path.read_text()), draw)))
+    path.write_text(json.dumps(other_values(json.loads(path.read_text("utf-8")), draw)), "utf-8")
     return "another value"
 
 

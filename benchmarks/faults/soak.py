@@ -118,7 +118,7 @@ class Watcher:
     def _read_memory(self) -> None:
         begun = time.time()
         while self.process.poll() is None:
-            text = Path(f"/proc/{self.process.pid}/status").read_text()
+            text = Path(f"/proc/{self.process.pid}/status").read_text("utf-8")
             resident = re.search(r"VmRSS:\s+(\d+)", text)
             if resident is not None:
                 self.memory_mb.append((time.time() - begun, int(resident[1]) / 1024))

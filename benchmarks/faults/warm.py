@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 
 import measure.calibration
-import measure.checking
+import measure.checking  # noqa: F401 -- to have it loaded
 from measure.api import load_profile
 from measure.api.warming_up import warm_pipeline
 from measure.cli import main

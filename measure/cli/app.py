@@ -117,7 +117,7 @@ def _pipe_closed() -> int:
             stream.flush()
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-    return ENDED_BY + signal.SIGPIPE
+    return ENDED_BY + getattr(signal, "SIGPIPE", 13)  # Windows has none
 
 
 def _make_streams_safe() -> None:

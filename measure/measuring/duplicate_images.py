@@ -179,7 +179,7 @@ class DuplicateImages:
         That is known of a camera in whose pictures the body moved, and all at once does not, while
         it does in the others.
         """
-        new = {n for n, g in glances.items() if n in self._latest}
+        new = {n for n in glances if n in self._latest}
         new = {n for n in new if glances[n].frame != self._latest[n][-1].frame}
         changes = {name: glances[name].change(self._latest[name][-1]) for name in new}
         moving = {name for name, change in changes.items() if change > _OTHER_LEVELS}

@@ -83,7 +83,7 @@ def train(
             notes=notes,
         )
         card, _, page = map(file.with_suffix, beside)
-        made = estimator_report(trained, json.loads(card.read_text()))
+        made = estimator_report(trained, json.loads(card.read_text("utf-8")))
         page.write_text(made, encoding="utf-8")
     return replace(trained, path=out)
 

@@ -116,7 +116,7 @@ class ReprojectionTriangulator(Triangulator):
                 out.append(self.triangulate(own, cameras))
                 continue
             names, distances = rig.names[first:last], fits.distances_mm[first:last]
-            time_s = sum([d.time_s for d in own]) / len(own)
+            time_s = sum(d.time_s for d in own) / len(own)
             out.append(
                 BallPosition(
                     own[0].ball, time_s, fits.points[i], fits.covariances[i], names, distances

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Sequence
 from datetime import datetime
@@ -22,7 +23,7 @@ def plain(text: str, folder: Path | None = None) -> str:
     follows its last colon, if it stands there.
     """
     if folder is not None:
-        text = text.replace(f"{folder}/", "").replace(str(folder), folder.name)
+        text = text.replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name)
     text = _GIVEN.sub("", text)
     text = _UNIX_S.sub(_clock, text)
     clauses = text.split("; ")
