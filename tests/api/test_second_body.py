@@ -71,22 +71,3 @@ def test_single_balls_in_a_scene_are_no_second_body(renders):
         pipeline = measure_session(session, load_profile("precise"), Registry.discover())
         found = [measurement for _, measurement in islice(pipeline, 3)]
     assert [one.status for one in found] == [Status.OK] * 3
-
-
-@pytest.mark.slow
-def test_a_second_body_beside_a_hidden_one_is_flagged():
-    """Of the first, one ball is behind posts for all cameras; the second is in full view."""
-    scene = scene_catalogue()["still"]
-    middle = scene.trajectory.at(np.array([0.0]))[0]
-    bare = {(b, c.name) for b in ("green", "yellow") for c in scene.cameras}
-    posts = posts_before(scene, middle, bare, 0.16, 19.0)
-    beside = middle.perturb([40.0, 115.0, 20.0, 0.2, 0.1, 0.4])
-    hidden = replace(scene, trajectory=Still(middle), attached=(), fixed=posts)
-    found = measured(rendered(with_second_body(hidden, Still(beside)), np.arange(2) / 30))
-    for one in found:
-        if one.pose is not None:
-            assert any("second body" in flag for flag in one.pose.flags)
-        else:
-            assert "two bodies" in one.reason
-    off = [m.pose.world_from_body.difference(beside) for m in found if m.pose is not None]
-    assert any(np.linalg.norm(delta[:3]) < 1 for delta in off)  # it is the second that is found

@@ -42,11 +42,9 @@ class Case:
 CASES = (
     Case("clutter", 0.44, 0.08, 0.35),
     Case("sharpened", 0.22, 0.04, 0.07),
-    Case("four-balls", 0.17, 0.04, 0.07),
     Case("desk-lamp", 0.54, 0.13, 0.19),
     Case("overexposed", 0.52, 0.07, 0.05),
     Case("far", 0.27, 0.14, 0.4),
-    Case("wide-lens", 0.19, 0.05, 0.05),
     Case("out-of-round", 0.13, 0.02, 0.03),
 )
 

@@ -264,6 +264,7 @@ def mark_an_event(page):
     page.idle(1.0)
     desk.strike(page, " ", " ")
     page.wait_for("/STOPPED[^]*poses good/.test(document.body.innerText)", 90)
+    page.wait_for("!!document.querySelector('.poses.old .age')", 20)
     page.wait_for("!!document.querySelector('a[href$=\"run-1/report.html\"]')", 20)
     page.wait_for(desk.is_done("Measure"), 20)
     page.wait_for(desk.ONE_PRIMARY, 20)
