@@ -63,21 +63,21 @@ def test_work_says_how_long_it_takes_yet():
         return "done"
 
     job = Job("calibrating", work)
-    assert job.told() == "calibrating: elapsed 0:00"
+    assert job.text() == "calibrating: elapsed 0:00"
     job.progress(0, 4)
     job.progress(1, 4)
-    assert job.told() == "calibrating: elapsed 0:00, about 0:01 left"
+    assert job.text() == "calibrating: elapsed 0:00, about 0:01 left"
     assert job.share == 0.25
     job.progress(4, 4)
     assert job.share is None
-    assert job.told() == "calibrating: elapsed 0:00"
+    assert job.text() == "calibrating: elapsed 0:00"
     job.progress(80, 4)
     assert job.share is None
     job.title = "writing"
-    assert job.told() == "writing: elapsed 0:00"
+    assert job.text() == "writing: elapsed 0:00"
     may_go_on.set()
     job.wait(10.0)
-    assert job.told() == "done"
+    assert job.text() == "done"
 
 
 def test_what_cannot_be_done_yet_waits_its_turn(tmp_path):
@@ -135,7 +135,7 @@ def test_work_that_is_stopped_ends_at_its_next_step():
     assert job.runs
     job.stop.set()
     job.wait(10.0)
-    assert job.told() == "stopped: calibrating"
+    assert job.text() == "stopped: calibrating"
 
 
 def test_an_error_that_is_over_is_forgotten(tmp_path):
@@ -147,7 +147,7 @@ def test_an_error_that_is_over_is_forgotten(tmp_path):
 
     bench.begin("recording", work)
     bench.job.wait(10.0)
-    assert "no camera yet" in bench.job.told()
+    assert "no camera yet" in bench.job.text()
     bench.set_cameras([])
     assert bench.job is None
 
