@@ -51,8 +51,8 @@ def accept(
     heads = ("from - to", "length_mm", "error_mm", "U_mm (k=2)", "error/U")
     console.print_table(heads, rows)
     console.print_text(judged.sentence)
-    promises = [(("held" if held else "NOT held"), what, how) for what, held, how in found.promises]
-    console.print_table(("", "promise", "here"), promises)
+    kept = [(("held" if held else "NOT held"), what, how) for what, held, how in found.promises]
+    console.print_table(("", "promise", "here"), kept)
     for line in judged.contradictions:
         console.print_text(f"wrong: {line}")
     if out is not None:
