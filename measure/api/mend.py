@@ -88,6 +88,39 @@ class Mended:
     refused: str = ""  # why nothing was written; empty if it was
     left: tuple[Finding, ...] = ()  # what is wrong still
 
+    def lines(self) -> list[str]:
+        """What was off, by how much, what was changed, what is better, and what else it may be."""
+        if self.refused:
+            return [f"not mended: {self.refused}"]
+        lines = [f"{self.session}: nothing to mend"]
+        if self.changed:
+            rivals = [rival for change in self.changed for rival in change.rivals]
+            parts = {
+                "what was off": [change.text for change in self.changed],
+                "by how much": [_sized(change) for change in self.changed],
+                "changed": [text for change in self.changed for text in change.changed],
+                "better": [_compared(self.before, self.after)],
+                "what else could be meant": rivals or ["nothing else explains as much"],
+            }
+            lines = [f"{name}: {'; '.join(texts)}" for name, texts in parts.items()]
+        return [*lines, *(f"wrong still: {finding.text}" for finding in self.left)]
+
+
+def _sized(change: Change) -> str:
+    amount = "(it is so, or not)"
+    if change.estimate is not None:
+        sd = "" if change.sd is None else f" +- {change.sd:.2g}"
+        amount = f"{change.estimate:+.4g}{sd} {change.unit}".strip()
+    return f"{change.code} of {change.subject} {amount}"
+
+
+def _compared(before: Fitness, after: Fitness) -> str:
+    shares = [f"{100 * one.pose_share:.0f}" for one in (before, after)]
+    return (
+        f"instants that were kept out miss by {_sds(after)} SD (RMS), before by {_sds(before)}; "
+        f"{shares[1]} % of the frame sets have a pose, before {shares[0]} %"
+    )
+
 
 def mend(
     session_path: Path,

@@ -87,10 +87,15 @@ class Board(Protocol):
         return self.find(gray)
 
 
+def in_squares(inner_corners: tuple[int, int]) -> str:
+    """The size of a board as it is printed and ordered."""
+    return "{}x{} squares".format(*(count + 1 for count in inner_corners))
+
+
 def same_after(board: Board) -> str:
     """After which turn a board with several of them looks the same."""
-    columns, rows = np.ptp(board.points[:, :2], axis=0) / np.abs(np.diff(board.points[:2, 0])) + 1
-    name = f"the board of {columns:.0f}x{rows:.0f} inner corners"
+    columns, rows = np.ptp(board.points[:, :2], axis=0) / np.abs(np.diff(board.points[:2, 0])) + 2
+    name = f"the board of {columns:.0f}x{rows:.0f} squares"
     turn = "half a turn" if len(board.turns) == 2 else "a quarter turn"
     return f"{name} looks the same after {turn}"
 
@@ -134,7 +139,7 @@ class Chessboard(Board):
     @property
     def title(self) -> str:
         """What it is, for people who hold it."""
-        return "chessboard of {}x{} inner corners".format(*self.inner_corners)
+        return f"chessboard of {in_squares(self.inner_corners)}"
 
     @property
     def turns(self) -> tuple[Ints, ...]:
@@ -225,7 +230,7 @@ class Charuco(Board):
     @property
     def title(self) -> str:
         """What it is, for people who hold it."""
-        return "ChArUco board of {}x{} inner corners".format(*self.inner_corners)
+        return f"ChArUco board of {in_squares(self.inner_corners)}"
 
     @property
     def squares(self) -> tuple[int, int]:

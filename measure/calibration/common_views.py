@@ -161,7 +161,7 @@ def _agreed_pose(
         raise CalibrationError(
             f"camera {name}: {same_after(board)}, and the common views fit two poses of the "
             "camera: tilt the board to other sides between pictures, or use one with an odd and an "
-            "even number of inner corners, or a ChArUco board"
+            "even number of squares, or a ChArUco board"
         )
     return guesses[best], np.argmin(apart[best], axis=1)
 
@@ -321,7 +321,7 @@ def board_frame(
     if len(board.turns) > 1:
         raise CalibrationError(
             f"{same_after(board)}, so two frames are possible: take a ChArUco board, or one "
-            "with an odd and an even number of inner corners"
+            "with an odd and an even number of squares"
         )
     grays = {
         n: np.asarray(cv2.cvtColor(p, cv2.COLOR_BGR2GRAY), np.uint8) for n, p in pictures.items()

@@ -195,12 +195,12 @@ def chessboard_sheet(board: boards.Chessboard, name: str) -> Sheet:
         for x in range(columns)
         if (x + y) % 2 == 0
     ]
-    text = f"{name}: {board.inner_corners[0]} x {board.inner_corners[1]} inner corners, {side:g} mm"
+    text = f"{name}: {boards.in_squares(board.inner_corners)}, {side:g} mm"
     note = ""
     if len(board.turns) > 1:
         note = (
             f"{boards.same_after(board)}: no picture shows which corner is its origin; take one "
-            "with an odd and an even number of inner corners, or a ChArUco board"
+            "with an odd and an even number of squares, or a ChArUco board"
         )
     sheet = lay_out(shapes, (columns * side, rows * side), (side, side), text)
     return replace(sheet, note=note)

@@ -147,7 +147,7 @@ def oriented_board(
     raise CalibrationError(
         f"camera {camera.name}: {same_after(seen.board)}, and no marks tell which of its corners "
         f"is the origin in {seen.corners.source}: write board_origin_px = {places} for this "
-        "camera, or take a board with an odd and an even number of inner corners, or a "
+        "camera, or take a board with an odd and an even number of squares, or a "
         "ChArUco board"
     )
 

@@ -29,6 +29,7 @@ from measure.checking.pictures import gaps_alone
 from measure.checking.sightings import evidence_of
 from measure.cli import main
 from measure.geometry import RigidTransform
+from measure.host import Registry
 from measure.model import Body, Camera
 from measure.session import (
     Calibration,
@@ -39,6 +40,9 @@ from measure.session import (
     write_body,
     write_calibration,
 )
+from measure_studio.api import CaptureRequest
+from measure_studio.page.bench import Bench
+from measure_studio.page.recordings_page import Recordings
 from tests.checking.test_arrangement import rig
 from tests.checking.test_causes import path
 from tests.scenes import RAVEN, moved, see
@@ -209,6 +213,25 @@ def test_a_nudged_camera_is_put_back(recorded, tmp_path, capsys) -> None:
         assert np.degrees(np.linalg.norm(off[3:])) < (0.1 if camera.name == "cam2" else 1e-6)
     assert (found.camera("cam2").pose_covariance is None) is False
     assert found.provenance["mended"] == change["changed"]
+
+
+@pytest.mark.parametrize("nudged", [True, False])
+def test_the_studio_mends_a_copy_and_says_what_was_off(recorded, nudged) -> None:
+    """A healthy recording leaves no copy behind."""
+    recorded.state(with_pose("cam2", NUDGE) if nudged else CAMERAS)
+    bench = Bench(recorded.folder.parent, Registry.discover(), True, CaptureRequest())
+    recordings = Recordings(bench)
+    recordings.mend(recorded.folder)
+    bench.job.wait(60.0)
+    assert bench.job.problem == ""
+    said = recordings.mended[recorded.folder]
+    assert (recorded.folder.parent / "session-mended-1").is_dir() == nudged
+    if nudged:
+        parts = ("what was off", "by how much", "changed", "better", "what else could be meant")
+        assert [line.split(":")[0] for line in said] == [*parts]
+        assert "cam2" in said[0]
+    else:
+        assert said == ["made up: nothing to mend"]
 
 
 def test_a_late_clock_is_set_right(recorded, tmp_path, capsys) -> None:

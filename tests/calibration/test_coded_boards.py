@@ -97,10 +97,10 @@ def test_another_board_than_the_chosen_one_is_named() -> None:
     smaller = replace(TRUE, inner_corners=(8, 5))
     seen = [
         (smaller, _print(TRUE), "5x8 squares seen, 9x6 chosen"),
-        (TRUE, _chessboard(10, 7), "a chessboard of 9x6 inner corners seen, a ChArUco board"),
+        (TRUE, _chessboard(10, 7), "a chessboard of 10x7 squares seen, a ChArUco board"),
         (Chessboard((8, 5), 25.0), _chessboard(10, 7), "10x7 squares seen, 9x6 chosen"),
-        (Chessboard((8, 5), 25.0), _print(TRUE), "a ChArUco board of 4x7 inner corners (DICT_4X4"),
-        (AprilGrid((6, 6), 40.0, 0.3), _print(TRUE), "a ChArUco board of 4x7 inner corners (DICT"),
+        (Chessboard((8, 5), 25.0), _print(TRUE), "a ChArUco board of 5x8 squares (DICT_4X4"),
+        (AprilGrid((6, 6), 40.0, 0.3), _print(TRUE), "a ChArUco board of 5x8 squares (DICT"),
     ]
     for chosen, picture, said in seen:
         other = other_board(chosen, [picture])

@@ -73,7 +73,7 @@ def test_common_views_are_turned_until_they_agree(corners: tuple[int, int]) -> N
 
 def test_common_views_without_tilt_fit_two_ways_and_late_ones_none() -> None:
     even, odd = Chessboard((8, 6), 20.0), Chessboard((9, 6), 20.0)
-    with pytest.raises(CalibrationError, match="8x6 inner corners looks the same after half"):
+    with pytest.raises(CalibrationError, match="9x7 squares looks the same after half"):
         fit_common_views(even, _lenses(even, 0.0))
     fit_common_views(odd, _lenses(odd, 0.0))
     for board in (even, odd):

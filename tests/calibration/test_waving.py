@@ -263,7 +263,7 @@ def test_a_board_that_is_never_found_is_asked_about():
     wave = wave_of()
     for number in range(40):
         wave.add({}, at_once(NAMES, number / 10))
-    asked = "no ChArUco board of 8x5 inner corners is found: is it this one? Show all of it"
+    asked = "no ChArUco board of 9x6 squares is found: is it this one? Show all of it"
     assert wave.state().advice[0] == asked
 
 

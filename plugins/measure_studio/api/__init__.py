@@ -25,7 +25,13 @@ from measure_studio.api.recording import (
     record,
     usb_notes,
 )
-from measure_studio.api.recordings import Recording, delete_recording, recordings_in, trail_of
+from measure_studio.api.recordings import (
+    Recording,
+    delete_recording,
+    name_body,
+    recordings_in,
+    trail_of,
+)
 from measure_studio.api.rendered_cameras import DEMO_BOARDS, demo_cameras
 from measure_studio.api.rig_folder import (
     COLORS,
@@ -50,8 +56,9 @@ __all__ = [
     "CameraAddress", "CameraCount", "CameraNow", "CaptureOptions", "CaptureRequest", "Control",
     "DeviceControls", "FoundCamera", "LiveEnd", "LiveOptions", "LiveState", "Mode", "Pace",
     "PictureFacts", "PlayEnd", "PlayOptions", "Preview", "RecordedSession", "Recording",
-    "WatchedCamera", "camera_line", "camera_names", "cameras", "capture_board", "contents_of",
-    "delete_recording", "demo_cameras", "described", "live", "next_free", "own_board",
-    "parse_cameras", "parse_controls", "parse_size", "play", "play_cameras", "record",
-    "recordings_in", "trail_of", "usb_notes", "web_viewer", "write_board",
+    "WatchedCamera", "camera_line", "camera_names", "cameras", "capture_board",
+    "contents_of", "delete_recording", "demo_cameras", "described", "live",
+    "name_body", "next_free", "own_board", "parse_cameras", "parse_controls", "parse_size",
+    "play", "play_cameras", "record", "recordings_in", "trail_of", "usb_notes", "web_viewer",
+    "write_board",
 ]  # fmt: skip

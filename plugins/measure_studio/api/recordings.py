@@ -11,13 +11,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-from measure.api import Camera, inside
+from measure.api import Body, Camera, inside
 from measure.arrays import Bools, Floats
 from measure.errors import ConfigError, MeasureError
 from measure.reading import parse_toml, read_text
 from measure.results import read_run
+from measure.session import dump_toml, write_body
 
-_RUN, _SESSION = "run.toml", "session.toml"
+_RUN, _SESSION, _BODY = "run.toml", "session.toml", "body.toml"
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,14 @@ def delete_recording(folder: Path, name: str) -> None:
     if there == folder.resolve() or not any((there / file).is_file() for file in (_RUN, _SESSION)):
         raise ConfigError(f"{name} is neither a recording nor a run")
     shutil.rmtree(there)
+
+
+def name_body(session: Path, body: Body) -> None:
+    """Put a body that was found in a recording into it: it is then checked and measured by it."""
+    table = parse_toml(read_text(session / _SESSION, ConfigError))
+    write_body(session / _BODY, body)
+    table["session"]["body"] = _BODY
+    (session / _SESSION).write_text(dump_toml(table), "utf-8")
 
 
 def trail_of(run: Path) -> tuple[Sequence[Camera], Floats, Bools]:

@@ -113,9 +113,11 @@ class _Making:
 
     def _write(self, out: Path, found: api.FoundBody, what: str) -> None:
         """Write the body that was found, and keep what was written before."""
-        held = out.read_bytes() if out.is_file() else None
-        api.write_body(out, self.colors.named(found).body)
+        held, body = out.read_bytes() if out.is_file() else None, self.colors.named(found).body
+        api.write_body(out, body)
         self.bench.keep(out, held, what)
+        if self.session is not None:
+            studio_api.name_body(self.session, body)
         names, left_out = dict(self.colors.names), set(self.colors.left_out)
         self.before, self.written = self.written, _Written(found, names, left_out)
 
@@ -125,6 +127,8 @@ class _Making:
         if (shown := self.written) is not None:
             self.found = shown.found
             self.colors.names, self.colors.left_out = dict(shown.names), set(shown.left_out)
+            if self.session is not None:
+                studio_api.name_body(self.session, self.colors.named(shown.found).body)
         self.look(like, is_new=False)
 
     def measure(self, like: Path | None, calibration: Path | None) -> None:
@@ -160,8 +164,9 @@ class _Making:
         job.title = f"looking for the balls in {session.name}"
         found = self.colors.find(session, bench.registry, radius_mm, like, job.progress)
         out = self.out or bench.folder / studio_api.next_free(bench.folder, "body", ".toml")
+        self.session = session
         self._write(out, found, "the body")
-        self.found, self.session, self.out = found, session, out
+        self.found, self.out = found, out
         bench.body = out
         self.look(like, is_new=False)
         return f"{out.name}: {len(found.body.balls)} balls, {found.frame_sets} frame sets"

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 from urllib.parse import quote
 
@@ -21,11 +22,12 @@ from measure_studio.page.words import plain
 
 
 @dataclass
-class _Recordings:
+class Recordings:
     """What was found of recordings; it outlives the browser's page."""
 
     bench: Bench
     findings: dict[Path, Sequence[Any]] = field(default_factory=dict)
+    mended: dict[Path, Sequence[str]] = field(default_factory=dict)
 
     def check(self, session: Path) -> None:
         """Say what is wrong or weak in a recording; it waits its turn."""
@@ -36,6 +38,20 @@ class _Recordings:
             return f"checked {session.name}"
 
         self.bench.begin(f"checking {session.name}", work, waits=True)
+
+    def mend(self, session: Path) -> None:
+        """Take what is off out of a copy of a recording; it waits its turn."""
+        out = session.with_name(studio_api.next_free(session.parent, f"{session.name}-mended"))
+
+        def work(job: Job) -> str:
+            found = api.mend(session, out, self.bench.registry, progress=job.progress)
+            self.mended[session] = found.lines()
+            if not found.changed:  # The copy is the recording itself
+                rmtree(out, ignore_errors=True)
+                return f"{session.name} is as it was"
+            return f"{out.name} is {session.name}, mended"
+
+        self.bench.begin(f"mending {session.name}", work, waits=True)
 
     def report(self, run: Path) -> None:
         """Write a run's report; it waits its turn."""
@@ -54,7 +70,7 @@ class _Recordings:
 
 def add(bench: Bench) -> None:
     """Add the page."""
-    recordings = _Recordings(bench)
+    recordings = Recordings(bench)
 
     @ui.page("/recordings")
     def page_of_recordings() -> None:
@@ -79,7 +95,7 @@ def add(bench: Bench) -> None:
         ui.timer(3.0, refresh)
 
 
-def _row(recordings: _Recordings, one: studio_api.Recording, refresh: Callable[[], Any]) -> None:
+def _row(recordings: Recordings, one: studio_api.Recording, refresh: Callable[[], Any]) -> None:
     """A recording or a run in a line: what it is, how good, and what can be done with it."""
     bench, name = recordings.bench, one.folder.name
 
@@ -104,6 +120,7 @@ def _row(recordings: _Recordings, one: studio_api.Recording, refresh: Callable[[
         with ui.row().classes("line"):
             if one.kind == "session":
                 act("Check", "rule", partial(recordings.check, one.folder))
+                act("Mend a copy", "healing", partial(recordings.mend, one.folder))
             else:
                 if one.report is not None:
                     address = f"/file/{quote(str(one.report.relative_to(bench.folder)))}"
@@ -113,8 +130,12 @@ def _row(recordings: _Recordings, one: studio_api.Recording, refresh: Callable[[
                 button("3-D", "view_in_ar", partial(_open_view, one.folder))
             button("Delete", "delete", asked.open)
         said = ui.html("", sanitize=False).classes("findings")
+        mended = ui.label().classes("lines").props("data-mended")
 
     def show() -> None:
+        lines = [plain(line, bench.folder) for line in recordings.mended.get(one.folder, ())]
+        mended.set_text("\n".join(lines))
+        mended.set_visibility(bool(lines))
         findings = recordings.findings.get(one.folder)
         said.set_visibility(findings is not None)
         if findings is not None:

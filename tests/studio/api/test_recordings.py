@@ -10,6 +10,7 @@ import pytest
 from measure.api import Registry, read_board
 from measure.errors import ConfigError, MeasureError
 from measure.results import Provenance, RunWriter
+from measure.session import open_session, read_body, session_lacks
 from measure_studio import api as studio_api
 from measure_studio.page.bench import Bench
 from tests.measurements import BODY, CAMERAS, measurement
@@ -47,6 +48,20 @@ def test_recordings_and_runs_are_listed_and_deleted(still, tmp_path):
             studio_api.delete_recording(tmp_path, name)
     studio_api.delete_recording(tmp_path, "run-1")
     assert {one.folder.name for one in studio_api.recordings_in(tmp_path)} == {"run-2", "session-1"}
+
+
+def test_a_recording_takes_the_body_that_was_found_in_it(still, tmp_path):
+    """Its balls are then checked and measured as those of any other recording."""
+    shutil.copytree(still, session := tmp_path / "session-1")
+    file = session / "session.toml"
+    text = "".join(f"{one}\n" for one in file.read_text().splitlines() if "body" not in one)
+    file.write_text(text)
+    assert session_lacks(session) == ["body"]
+    body = read_body(still / "body.toml")
+    studio_api.name_body(session, body)
+    with open_session(session) as opened:
+        assert np.allclose(opened.body.centers, body.centers)
+        assert opened.streams.keys() == {camera.name for camera in opened.cameras}
 
 
 @pytest.mark.parametrize("kind", ["chessboard", "charuco"])
