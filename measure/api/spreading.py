@@ -8,7 +8,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import TypeVar
 
-from measure.errors import ConfigError
+from measure.errors import ConfigError, MeasureError
 from measure.processes import connected, processes, usable_cores
 
 R = TypeVar("R")
@@ -44,7 +44,7 @@ def spread(jobs: Sequence[Callable[[], R]], workers: Workers) -> Iterator[tuple[
     """Do jobs side by side; yields the number of each, as it ends, with what it returned.
 
     A job whose worker is killed is begun again in another one; instead of what a job returned there
-    is a line that says why, when it was lost for good.
+    is a line that says why, when it was lost for good. What the user can mend is raised.
 
     Args:
         jobs: they are pickled.
@@ -93,8 +93,8 @@ def _on_cluster(jobs: Sequence[Callable[[], R]], address: str) -> Iterator[tuple
         }
         for future in distributed.as_completed(list(waiting), loop=client.loop):
             error = future.exception()
-            if error is None:
-                yield waiting.pop(future), future.result()
+            if error is None or isinstance(error, MeasureError):
+                yield waiting.pop(future), future.result()  # raises it, as on this machine
             else:
                 line = f"the cluster gave it up: {type(error).__name__}: {error}"
                 yield waiting.pop(future), " ".join(line.split())

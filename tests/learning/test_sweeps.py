@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
+import sqlite3
 import time
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from measure.cli import main
 from measure.errors import DivergedError, EstimatorError
 from measure.host import Dataset, Estimator, Registry
+from measure.host.estimator import quiet
 from measure_learning.core import files, sweeping
-from measure_learning.core.sweeping import read_space
+from measure_learning.core.sweeping import Range, read_space
+from tests.dask_cluster import Cluster
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
@@ -111,45 +117,100 @@ def test_a_sweep_whose_trials_all_fail_ends(
     assert "--trials 0: expected a positive number" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        ('penalty = "none"\n', "journal.log:1: damaged, or not a sweep's journal"),
-        ('{"op_code":0', "journal.log:1: damaged, or not a sweep's journal"),
-        ("1\n", "journal.log:1: damaged, or not a sweep's journal"),
-        ('{"op_code":99,"worker_id":"a"}\n', "journal.log: damaged"),
-    ],
-)
+@pytest.mark.parametrize("content", [b'penalty = "none"\n', b'{"op_code":0', b"another", b"torn"])
 def test_a_file_that_is_no_journal_is_left_alone(
-    content: str, reason: str, words: list[str], capsys: pytest.CaptureFixture[str]
+    content: bytes, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     journal = Path(words[4])
-    journal.write_text(content)
+    if content == b"another":
+        with closing(sqlite3.connect(journal)) as file:
+            file.execute("CREATE TABLE songs (name TEXT)")
+        content = journal.read_bytes()
+    elif content == b"torn":
+        with sweeping.open_study(journal, "a job"):
+            pass
+        content = journal.read_bytes()[:5000]
+    journal.write_bytes(content)
     assert main(words) == 2
-    assert reason in capsys.readouterr().err
-    assert journal.read_text() == content
+    assert f"{journal}: damaged, or not a sweep's journal (" in capsys.readouterr().err
+    assert journal.read_bytes() == content
 
 
-def test_a_silent_trial_is_given_up_and_a_living_one_is_not(
-    words: list[str], monkeypatch: pytest.MonkeyPatch
+HEARTBEAT_S = 1
+"""The shortest that optuna knows; a trial is given up after three of them."""
+JOB = sweeping.SweepJob("data", "ridge", {}, 0, "digest")
+
+
+def _hang(journal: Path, drawn: Any) -> None:
+    """What a worker does that is killed later on."""
+    sweeping.run_trial = lambda _, settings: (drawn.put(settings), time.sleep(600.0))[1]
+    _sweep(journal, 1)
+
+
+def _sweep(journal: Path, trials: int) -> sweeping.SweepState:
+    space = {"penalty": Range(low=0.0, high=1.0)}
+    return sweeping.sweep(JOB, space, journal, trials, report=quiet, heartbeat_s=HEARTBEAT_S)
+
+
+def test_the_settings_of_a_killed_worker_are_tried_again_and_a_slow_one_keeps_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever the system: no process is asked for by its number."""
-    study, seen = sweeping.open_study(Path(words[4]), "a job"), dict[int, tuple[int, float]]()
-    space = read_space(Path(words[2]))
-    monkeypatch.setattr(sweeping, "_BEAT_S", 0.05)
-    monkeypatch.setattr(sweeping, "_SILENT_S", 1.0)
-    (silent, settings), (living, _) = (sweeping.ask(study, space) for _ in range(2))
-    with sweeping.alive([living]):
-        begun = time.monotonic()
-        while sweeping.sweep_state(study).running == 2 and time.monotonic() < begun + 20.0:
-            sweeping.requeue_dead(study, seen)
-            time.sleep(0.05)
-    state = sweeping.sweep_state(study)
-    assert (state.running, state.failed, state.waiting) == (1, 1, 1)
-    sweeping.finish(study, silent, lambda: 1.0)  # it was only slow: nobody stumbles over it
-    sweeping.finish(study, living, lambda: 2.0)
-    assert sweeping.sweep_state(study).best[0][0] == 2.0
-    assert sweeping.ask(study, space)[1] == settings
+    pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
+    spawn, journal, tried = multiprocessing.get_context("spawn"), tmp_path / "a?b.db", []
+    drawn = spawn.Queue()
+    worker = spawn.Process(target=_hang, args=(journal, drawn))
+    worker.start()
+    lost = drawn.get(timeout=60.0)
+    worker.kill()
+    worker.join()
+
+    def slowly(_: object, settings: dict[str, float]) -> float:
+        tried.append(settings)
+        time.sleep(5.0 * HEARTBEAT_S if len(tried) == 1 else 0.01)
+        return settings["penalty"]
+
+    monkeypatch.setattr(sweeping, "run_trial", slowly)
+    state = _sweep(journal, 3)
+    assert tried[1] == lost  # the first began before it was known
+    assert lost not in (tried[0], tried[2])
+    assert (state.finished, state.failed, state.running, state.waiting) == (3, 1, 0, 0)
+    assert [score for score, _ in state.best] == sorted(one["penalty"] for one in tried)
+
+
+def test_a_trial_that_others_gave_up_does_not_end_the_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As those of a machine that slept; a healthy trial of the same sweep counts."""
+    optuna = pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
+    journal, tried = tmp_path / "journal.db", []
+
+    def given_up(_: object, settings: dict[str, float]) -> float:
+        tried.append(settings)
+        if len(tried) == 1:
+            with sweeping.open_study(journal, JOB.identity) as study:
+                study.tell(0, state=optuna.trial.TrialState.FAIL)
+        return 1.0
+
+    monkeypatch.setattr(sweeping, "run_trial", given_up)
+    state = _sweep(journal, 2)
+    assert (len(tried), state.finished, state.failed) == (3, 2, 1)
+
+
+@pytest.mark.slow
+def test_the_workers_of_a_cluster_run_the_trials(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("distributed", reason="a scheduler needs the extra 'cluster'")
+    with Cluster(tmp_path) as cluster:
+        assert main([*words, "--cluster", cluster.address, "--json"]) == 0
+        state = json.loads(capsys.readouterr().out)
+        assert state["finished"] >= 2
+        assert all(0 < score < 100 for score, _ in state["best"])
+        Path(words[2]).write_text("[penalty]\nchoices = [-1.0]\n")
+        words[4] += ".other"
+        assert main([*words, "--cluster", cluster.address]) == 2
+        assert "'penalty': input should be greater than 0, got -1.0" in capsys.readouterr().err
 
 
 def test_a_scheduler_that_is_not_there_is_named(

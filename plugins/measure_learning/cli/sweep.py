@@ -23,8 +23,8 @@ def sweep(
 ) -> None:
     """Search an estimator's settings, on many machines if there are.
 
-    Start the same command as often as you like, on any machine that sees the journal: they share
-    the work. A killed worker's settings are tried again.
+    Start the same command as often as you like on this machine: they share the work. `--cluster`
+    gives it to other machines. A killed worker's settings are tried again.
 
     Args:
         data: a data set.

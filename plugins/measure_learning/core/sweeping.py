@@ -1,12 +1,13 @@
-"""Searching an estimator's settings: optuna on a shared journal, or dask workers."""
+"""Searching an estimator's settings: optuna on a file that processes share."""
 
 from __future__ import annotations
 
 import json
-import threading
-import time
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager, suppress
+import platform
+import sqlite3
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,19 +16,20 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model_validator
 
+from measure.api.spreading import Workers, spread
 from measure.errors import DivergedError, EstimatorError, FitError
 from measure.host import Estimator, Registry, Report
-from measure.processes import connected, needed
-from measure.reading import MAX_TEXT_BYTES, read_bytes
+from measure.processes import needed
 from measure.session import load_toml
 from measure_learning.core.files import read_dataset
 from measure_learning.core.fitting import fit
 from measure_learning.core.scores import corrected_rms_mm
 from measure_learning.core.splits import split_by_trajectory
 
-_BEAT_S = 3.0  # between two signs of life of a trial
-_SILENT_S = 45.0
-"""Without a sign of life for so long a trial is given up: a busy machine delays some."""
+_HEARTBEAT_S = 15  # a busy machine delays some
+_LOCKED_S = 60.0  # how long a process waits for another one that writes
+_UNFIT = (DivergedError, FitError, ArithmeticError, ValueError, RuntimeError)
+"""What settings raise that an estimator cannot be fitted with: their trial fails, no other."""
 
 
 class Range(BaseModel):
@@ -97,65 +99,72 @@ def sweep_state(study: Any) -> SweepState:
     )
 
 
-def open_study(journal: Path, identity: str) -> Any:
-    """The study in a journal, started if absent; EstimatorError if it is not this sweep's."""
+@contextmanager
+def open_study(journal: Path, identity: str, heartbeat_s: int = _HEARTBEAT_S) -> Iterator[Any]:
+    """The study in a journal, an SQLite file; it is begun if absent.
+
+    Optuna gives a trial up whose process gave no sign of life for three times `heartbeat_s`, and
+    queues its settings for the next one. EstimatorError: the file is not this sweep's.
+    """
     optuna = needed("optuna", "sweep", "a sweep", EstimatorError)
-    journals = needed("optuna.storages.journal", "sweep", "a sweep", EstimatorError)
+    from optuna.storages.journal import JournalFileOpenLock
+    from sqlalchemy.exc import SQLAlchemyError
+
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     journal.parent.mkdir(parents=True, exist_ok=True)
-    lock = journals.JournalFileOpenLock(str(journal))
+    lock = JournalFileOpenLock(str(journal))  # two processes may begin the same file
     lock.acquire()
     try:
-        _check_lines(journal)
-    finally:
-        lock.release()
-    try:
+        _check_journal(journal)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            storage = _storage(journal, heartbeat_s)
         study = optuna.create_study(
             study_name="sweep",
-            storage=optuna.storages.JournalStorage(
-                journals.JournalFileBackend(str(journal), lock_obj=lock)
-            ),
+            storage=storage,
             load_if_exists=True,
             sampler=optuna.samplers.TPESampler(constant_liar=True),
         )
-    except (AssertionError, LookupError, TypeError, ValueError) as error:
-        raise EstimatorError(f"{journal}: damaged ({error!r}): use another file") from None
-    written = study.user_attrs.get("job")
-    if written is None:
-        study.set_user_attr("job", identity)
-    elif written != identity:
+        written = study.user_attrs.get("job")
+        if written is None:
+            study.set_user_attr("job", identity)
+    except (SQLAlchemyError, sqlite3.Error, optuna.exceptions.OptunaError, RuntimeError) as error:
+        reason = str(error).partition("\n")[0]
         raise EstimatorError(
-            f"{journal}: belongs to another sweep, or the data have changed since ({written} then, "
-            f"{identity} now): use another file"
-        )
-    return study
-
-
-def _check_lines(journal: Path) -> None:
-    """Refuse a file that is no journal, or whose last line is torn: optuna would append to it."""
-    if not journal.exists():
-        return
-    content = read_bytes(journal, EstimatorError, MAX_TEXT_BYTES)
-    for number, line in enumerate(content.splitlines(keepends=True), 1):
-        try:
-            good = line.endswith(b"\n") and "op_code" in json.loads(line)
-        except (TypeError, ValueError):
-            good = False
-        if not good:
-            raise EstimatorError(
-                f"{journal}:{number}: damaged, or not a sweep's journal: use another file"
-            )
-
-
-def ask(study: Any, space: Mapping[str, Range]) -> tuple[Any, dict[str, Any]]:
-    """The next trial; EstimatorError if trials had other choices."""
-    trial = study.ask()
-    try:
-        return trial, _suggest(trial, space)
-    except ValueError as error:
-        raise EstimatorError(
-            f"the space does not go with the journal's trials ({error}): use another journal"
+            f"{journal}: damaged, or not a sweep's journal ({reason}): use another file"
         ) from None
+    finally:
+        lock.release()
+    try:
+        if written not in (None, identity):
+            raise EstimatorError(
+                f"{journal}: belongs to another sweep, or the data have changed since ({written} "
+                f"then, {identity} now): use another file"
+            )
+        yield study
+    finally:
+        storage.remove_session()
+        storage.engine.dispose()
+
+
+def _storage(journal: Path, heartbeat_s: int) -> Any:
+    import optuna
+
+    return optuna.storages.RDBStorage(
+        "sqlite:///sweep",  # the dialect: a URL cannot hold every file's name
+        {"creator": partial(sqlite3.connect, journal, _LOCKED_S, check_same_thread=False)},
+        heartbeat_interval=heartbeat_s,
+        grace_period=3 * heartbeat_s,
+        heartbeat_stale_trial_callback=optuna.storages.RetryHeartbeatStaleTrialCallback(),
+    )
+
+
+def _check_journal(journal: Path) -> None:
+    """Refuse a file of something else before optuna makes its tables there (sqlite3.Error)."""
+    with closing(sqlite3.connect(journal)) as file:
+        tables = {name for (name,) in file.execute("SELECT name FROM sqlite_master")}
+    if tables and "studies" not in tables:
+        raise sqlite3.DatabaseError("its tables are another program's")
 
 
 def _suggest(trial: Any, space: Mapping[str, Range]) -> dict[str, Any]:
@@ -174,76 +183,10 @@ def _suggest(trial: Any, space: Mapping[str, Range]) -> dict[str, Any]:
     return out
 
 
-def finish(study: Any, trial: Any, work: Callable[[], float]) -> None:
-    """Do a trial's work and store its score; settings that cannot be fitted fail."""
-    try:
-        value = work()
-    except (DivergedError, FitError, ArithmeticError, ValueError, RuntimeError) as error:
-        fail(study, trial, str(error))
-        return
-    if np.isfinite(value):
-        study.tell(trial, value, skip_if_finished=True)  # somebody may have given it up
-    else:
-        fail(study, trial, "the score is not a number")
-
-
-def fail(study: Any, trial: Any, reason: str) -> None:
-    """Close a trial without a score; it is not tried again."""
-    import optuna
-
-    with suppress(RuntimeError):  # somebody has given it up
-        trial.set_user_attr("error", reason[:1000])
-    study.tell(trial, state=optuna.trial.TrialState.FAIL, skip_if_finished=True)
-
-
 def failures(study: Any) -> list[str]:
     """Reasons of the failed trials, in order, without those of dead workers."""
     trials = study.get_trials(deepcopy=False)
     return [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
-
-
-@contextmanager
-def alive(trials: Collection[Any]) -> Iterator[None]:
-    """Give signs of life of trials while they are worked on, from a thread beside."""
-    over = threading.Event()
-
-    def beat() -> None:
-        count = 0
-        while not over.wait(_BEAT_S):
-            count += 1
-            for trial in tuple(trials):
-                with suppress(RuntimeError):  # it is finished
-                    trial.set_user_attr("beat", count)
-
-    thread = threading.Thread(target=beat, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-
-
-def requeue_dead(study: Any, seen: dict[int, tuple[int, float]]) -> None:
-    """Queue the settings of trials without signs of life for the next worker.
-
-    `seen` is kept from call to call: the last sign of each trial, and since when, on the clock of
-    `time.monotonic`; the machines' own clocks may be set, and differ.
-    """
-    import optuna
-
-    states, now = optuna.trial.TrialState, time.monotonic()
-    for trial in study.get_trials(deepcopy=False, states=(states.RUNNING,)):
-        beat = trial.user_attrs.get("beat", 0)
-        last, since_s = seen.setdefault(trial.number, (beat, now))
-        if beat != last:
-            seen[trial.number] = beat, now
-        elif now - since_s > _SILENT_S:
-            try:
-                study.tell(trial.number, state=states.FAIL)
-            except (ValueError, RuntimeError):
-                continue  # another worker was faster
-            study.enqueue_trial(trial.params)
 
 
 @dataclass(frozen=True)
@@ -288,51 +231,50 @@ def sweep(
     *,
     cluster: str | None = None,
     report: Report,
+    heartbeat_s: int = _HEARTBEAT_S,
 ) -> SweepState:
     """Work on a sweep until it has `trials` finished trials; every process that calls this helps.
 
-    The journal is a file that any number of processes and machines append to, also to say that they
-    are alive. The settings of a worker that was killed are tried again by another. The workers of
-    a dask cluster run the trials, or without one this process. EstimatorError: an extra is missing,
-    the journal is damaged or of another sweep, or as many trials failed as were wanted.
+    This process runs the trials, or the workers of a dask cluster do. EstimatorError: an extra is
+    missing, the journal is damaged or of another sweep, or as many trials failed as were wanted.
     """
-    study, seen = open_study(journal, job.identity), dict[int, tuple[int, float]]()
-    while True:
-        requeue_dead(study, seen)
+    workers = Workers(1, cluster)
+
+    def score(trial: Any) -> float:
+        try:
+            settings = _suggest(trial, space)
+        except ValueError as error:
+            raise EstimatorError(
+                f"the space does not go with the journal's trials ({error}): use another journal"
+            ) from None
+        work = partial(run_trial, job, settings)
+        try:
+            value = next(spread([work], workers))[1] if cluster else work()
+            if isinstance(value, str) or not np.isfinite(value):
+                raise FitError(value if isinstance(value, str) else "the score is not a number")
+        except _UNFIT as error:
+            trial.set_user_attr("error", str(error)[:1000])
+            raise
+        trial.set_user_attr("by", platform.node())  # refused if others have given the trial up
+        return value
+
+    def is_done(study: Any, trial: Any = None) -> bool:
         state = sweep_state(study)
         report(min(1.0, state.finished / trials), f"{state.finished} of {trials} trials")
         if state.finished >= trials:
-            return state
+            if trial:
+                study.stop()
+            return True
         if len(failed := failures(study)) >= trials:
             raise EstimatorError(
                 f"{len(failed)} trials failed and {state.finished} finished; the last failure: "
                 f"{failed[-1]}: mend the space and use another journal, or want more trials"
             )
-        if state.finished + state.running >= trials and not state.waiting:
-            time.sleep(0.5)
-            continue
-        if cluster:
-            _on_cluster(study, job, space, cluster, trials - state.finished)
-        else:
-            trial, settings = ask(study, space)
-            with alive([trial]):
-                finish(study, trial, partial(run_trial, job, settings))
+        return False
 
-
-def _on_cluster(
-    study: Any, job: SweepJob, space: Mapping[str, Range], cluster: str, wanted: int
-) -> None:
-    """Hand a batch to dask's workers; dask itself repeats what a dead worker was doing."""
-    with connected(cluster, "--cluster") as (client, distributed):
-        workers = len(client.scheduler_info()["workers"])
-        asked: dict[Any, Any] = {}
-        for _ in range(min(wanted, 2 * workers)):
-            trial, settings = ask(study, space)
-            asked[client.submit(run_trial, job, settings, pure=False)] = trial
-        with alive(asked.values()):
-            for future in distributed.as_completed(list(asked), loop=client.loop):
-                error = future.exception()
-                if isinstance(error, distributed.KilledWorker):
-                    fail(study, asked[future], f"every worker that tried it died: {error}")
-                else:
-                    finish(study, asked[future], future.result)
+    with open_study(journal, job.identity, heartbeat_s) as study:
+        while not is_done(study):
+            # Optuna's refusal of a trial that others gave up, say while this machine slept.
+            with suppress(ValueError):
+                study.optimize(score, n_jobs=workers.available(), catch=_UNFIT, callbacks=[is_done])
+        return sweep_state(study)
