@@ -47,3 +47,12 @@ def minimal(session: nox.Session) -> None:
     session.run("measure", "--help")
     session.run("measure", "plugins")
     session.run("measure", "studio", "desk", "--no-browser", "--seconds", "1", success_codes=[2])
+
+
+@nox.session(python=PYTHONS[0], default=False)
+def coverage(session: nox.Session) -> None:
+    """How much of the code the suite runs, by lines and branches; arguments go to pytest."""
+    session.install("-e", ".[test]", "coverage")
+    session.run("coverage", "run", "-m", "pytest", "-q", "-n", "0", *session.posargs)
+    session.run("coverage", "combine")
+    session.run("coverage", "report")
