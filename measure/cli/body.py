@@ -25,7 +25,7 @@ def body(
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
-    """Write a body file from a recording in which the balls are seen.
+    """Write a body file from a recording of the balls.
 
     The body is turned and carried through the workspace. Balls of the common colours are found in
     whole pictures, and their places adjusted to all of them; the cameras give the scale.

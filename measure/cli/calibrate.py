@@ -38,7 +38,7 @@ def calibrate(
         method: "joint" solves all cameras at once; "paper" each from its markers (equation 3).
         body: the waved body; or the one to judge a capture's calibration with, the paper's
             three-ball body if omitted.
-        lenses: for a session, a calibration whose lenses are used, and nothing else of it.
+        lenses: for a session, a calibration that gives the lenses only.
         file_format: triball, anipose, caliscope or opencv; only "triball" holds covariances and
             the judgement.
         report: HTML report to write; beside the output, ending in .html, if omitted.

@@ -29,7 +29,7 @@ def check(
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> int:
-    """Say what is wrong or weak in a session before it is measured.
+    """Find faults of a session before you measure it.
 
     The exit code is 3 if anything is wrong, 0 otherwise.
 

@@ -22,7 +22,7 @@ class _PageOptions:
 
     Attributes:
         studio: try the set-up page with rendered cameras.
-        board: that is waved: `charuco_8x5_27` or `chessboard_9x6_25`.
+        board: the waved board: `charuco_8x5_27` or `chessboard_9x6_25`.
         port: of the set-up page; 0 for any that is free.
         browser: open the set-up page in a browser.
     """

@@ -35,11 +35,11 @@ def evaluate(
         truth: poses over time (time_s,x_mm,...,qz; TUM; EuRoC; `rostopic echo -p`; bag#topic; an
             export of rigid bodies by Motive, Vicon, Qualisys or NDI); those of the session if
             omitted.
-        calibration: where the cameras really are, if known: tells errors of detection from errors
-            of camera localisation.
+        calibration: where the cameras really are, if known: separates errors of detection from
+            those of camera localisation.
         marks: ball centres marked by hand (camera,frame,ball,u_px,v_px) to compare detection with.
         find_offset: find by motion what to add to the truth's times, and fit its frames to the run
-            if they are others; refused where the motion cannot tell.
+            if they are others; refused where the motion does not determine it.
         truth_body: which rigid body of a tracker's file or a bag, or of a table with a column
             `body`.
         body: which body, of a run of several; each if omitted.

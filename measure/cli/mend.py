@@ -20,7 +20,7 @@ def mend(
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> int:
-    """Take what is off out of a copy of a session's calibration, body and stamps.
+    """Correct faults in a copy of a session's calibration, body and timestamps.
 
     It mends what `measure check` names, one cause after the other, by two thirds of the recording,
     and keeps a mend only if the other third fits better. The session and its pictures stay as they

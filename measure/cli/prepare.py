@@ -13,7 +13,7 @@ from measure.errors import PluginError
 
 
 def prepare(*, registry: InjectedRegistry) -> None:
-    """Compile the hot loops now: for container images and shared installations.
+    """Compile the numerical code now, for container images and shared installations.
 
     It runs the demonstration with each profile. Whoever may write the installation does it once;
     all users of it, on processors of this kind, start without waiting.

@@ -27,7 +27,7 @@ class _ExecutionOptions:
     """What happens to earlier runs, and where the work is done.
 
     Attributes:
-        resume: go on with an interrupted run: what it kept stays, the rest is measured.
+        resume: continue an interrupted run: its rows stay, the rest is measured.
         workers: how many processes measure several sessions side by side, as many as there are
             cores if omitted; or stretches of a long one, which this process measures if omitted.
         cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do so instead.

@@ -21,7 +21,7 @@ def sync(
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
-    """Bring recordings started by hand together, by the balls' motion.
+    """Synchronise cameras that were started by hand, by the balls' motion.
 
     Writes what to add to each camera's times as `time_offset_s` into the session file; the first
     camera's clock is kept. Refused where the motion cannot tell.

@@ -19,7 +19,7 @@ def accept(
     body: str | None = None,
     json: JsonFlag = False,
 ) -> int:
-    """Test a rig by known lengths: its errors against what it states.
+    """Test a rig by known lengths: its errors against its stated uncertainty.
 
     The exit code is 3 where lengths contradict what the rig states of itself, 0 otherwise.
 

@@ -15,7 +15,7 @@ from measure_lab import api
 def compare(
     first: Path, second: Path, /, *, body: str | None = None, json: JsonFlag = False
 ) -> None:
-    """Say what differs between two runs, and by how many deviations.
+    """Compare two runs: their differences in standard deviations.
 
     Runs of one session are compared frame set by frame set, those of two by their statistics.
     `sds` is the difference in standard deviations that follow from its scatter: whether there is

@@ -23,7 +23,7 @@ def pivot(
     body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
-    """Find a tool's tip from a run in which it is turned about it.
+    """Find a tool's tip from a run in which the tool pivots about it.
 
     The tip stands in a small hole and the tool is tilted to all sides, by 40 degrees in all or
     more; what else the recording holds is in the way. Refused where the motion cannot show the tip.

@@ -24,8 +24,8 @@ class _PlaceOptions:
         run: a run with the body where you want the world.
         at: time of the pose, in seconds as in poses.csv.
         rest: number of a rest (`measure rests`); the longest, if no place is given.
-        points: three rests of a pivoted tip instead: at the origin, on the x axis, and beside it
-            where y is positive.
+        points: three rests of a pivoted tip instead: at the origin, on the x axis, and in the xy
+            plane where y is positive.
         body: which body, of a run of several.
     """
 
@@ -47,7 +47,7 @@ def world(
     overwrite: Overwrite = False,
     json: JsonFlag = False,
 ) -> None:
-    """Put a calibration's world where a body or a board is, or through three touches.
+    """Set the world's origin by a body, a board or three touches.
 
     The world becomes the frame of the body at that instant or rest, a frame through three rests of
     a tip, or that of a board, z up from the paper. Covariances of the cameras are carried along.

@@ -26,10 +26,10 @@ class TrainOptions:
         estimator: a plugin: stream (default), mlp (the paper's), ridge, gp, offset, kinematic;
             or "stream after kinematic", which learns what the latter leaves.
         seed: of everything random in training.
-        resume: go on with an interrupted training.
+        resume: continue an interrupted training.
         overwrite: Replace what is there.
-        validation: a data set of its own to choose and stop by, instead of a split; it scores, too,
-            where there is no other for the test.
+        validation: a data set of its own to choose and stop by, instead of a split; it also scores
+            if there is no test set.
         test: a data set of its own to score by.
         test_share: share of the labels kept for the test, in whole trajectories.
         validation_share: the same for choosing and stopping.

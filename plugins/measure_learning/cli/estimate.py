@@ -45,8 +45,8 @@ class _MeasuredOptions:
     Attributes:
         true_positions: a table of tip positions measured now and then (time_s on the states' clock,
             x_mm, y_mm, z_mm): the offsets of the joints follow them. Live, they come by UDP.
-        frame: the frame.toml that the labels were measured by: the SDs that are written then hold
-            what `measure register` leaves open of base and tool.
+        frame: the frame.toml that the labels were measured by: the written SDs then include the
+            uncertainty of base and tool.
     """
 
     true_positions: Path | None = None
@@ -71,7 +71,7 @@ def estimate(
     What cannot be answered is refused and counted, never guessed.
 
     Args:
-        model: an ONNX file made by `measure train`, or `shipped` for the one that comes along.
+        model: an ONNX file made by `measure train`, or `shipped` for the included one.
         input_: recorded states: Parquet, text or a bag.
         out: where to write the errors and the corrected positions with their SDs (.parquet or
             .csv).

@@ -23,7 +23,7 @@ def recalibrate(
     arm_file: tuple[Path, ...] = (),
     json: JsonFlag = False,
 ) -> None:
-    """Choose poses that a robot visits in the morning; then find its zeros of today there.
+    """Choose poses that a robot visits in the morning, then find today's joint zeros.
 
     Without `--measured` it writes the poses that tell most of links, zeros and base. With a data
     set that was measured there, it writes the model with today's offsets, the robot with today's

@@ -21,7 +21,7 @@ def sweep(
     options: Annotated[api.SweepOptions, FIELDS] = api.SweepOptions(),
     json: JsonFlag = False,
 ) -> None:
-    """Search an estimator's settings, on many machines if there are.
+    """Search an estimator's hyperparameters, optionally on several machines.
 
     Start the same command as often as you like on this machine: they share the work. `--cluster`
     gives it to other machines. A killed worker's settings are tried again.

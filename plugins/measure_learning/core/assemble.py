@@ -86,7 +86,7 @@ class AssemblySettings:
         history_hz: add unlabelled states between the labels at this rate.
         cut_s: cut recordings into trajectories of this length.
         largest_sd_mm: do not learn from labels less certain than this.
-        outlier_sds: nor from those so many robust SDs from their neighbours' median; inf: from all.
+        outlier_sds: nor from labels so many robust SDs from their neighbours' median; inf uses all.
         as_it_is: keep labels that a frame, a tool or a clock explains, with a warning.
     """
 

@@ -30,7 +30,7 @@ class Pace:
     Attributes:
         rate: how many times as fast as it was recorded.
         loop: begin again at its end.
-        wait_s: seconds before the first pose or picture, so that receivers are all there.
+        wait_s: seconds before the first pose or picture, so that all receivers are ready.
     """
 
     rate: float = 1.0

@@ -9,13 +9,13 @@ from measure_studio.capture import FoundCamera, Mode
 
 
 def cameras(*addresses: str, json: JsonFlag = False) -> None:
-    """List cameras: modes, controls, and whether they deliver.
+    """List cameras, their modes and controls, and whether they stream.
 
     Without an address it lists the cameras of this machine. Needs the extra `cameras`.
 
     Args:
-        addresses: cameras to ask instead, as `measure record` takes them: what of size, rate and
-            times each delivers in two seconds, or why it does not.
+        addresses: cameras to test instead, as `measure record` takes them: size, rate and clock of
+            each in two seconds, or why there is no picture.
     """
     found = studio_api.cameras(addresses)
     if json:

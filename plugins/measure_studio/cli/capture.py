@@ -22,7 +22,7 @@ def capture(
     capture: CameraOptions = CameraOptions(),
     json: JsonFlag = False,
 ) -> int:
-    """Take pictures of a waved board until they are enough.
+    """Take pictures of a waved board, and stop when there are enough.
 
     Those are kept that add something. They are enough when the calibration they give will let the
     body's position be known well enough. Lines say what to do next. The exit code is 3 if it ends
@@ -33,7 +33,7 @@ def capture(
         board: the board's target file, or the name of one that comes with the program.
         out: the capture folder for `measure calibrate`.
         body: body that will be measured; the paper's three-ball body if omitted.
-        goal_mm: expected error of the body's position that is good enough.
+        goal_mm: expected error of the body's position at which to stop.
     """
     given, last = studio_api.parse_cameras(cameras), [time.monotonic()]
 

@@ -33,7 +33,7 @@ class _DestinationOptions:
         send: where every pose is sent, such as udp://127.0.0.1:5005, igtl://, foxglove://,
             lsl:triball, zenoh:triball; may be repeated.
         marks: where event marks come from, udp://:PORT or lsl:NAME; may be repeated.
-        mark: mark an event with Enter, and with what was typed before it.
+        mark: mark an event with Enter; the text typed before it names it.
     """
 
     out: OutFile
@@ -56,7 +56,7 @@ def live(
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
-    """Measure cameras while they deliver.
+    """Measure live, from running cameras.
 
     Every frame set becomes a row of the run as soon as its pictures are there. Where measuring is
     slower than the cameras, frame sets are left out. Without `--seconds` it goes on until it is

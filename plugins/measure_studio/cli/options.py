@@ -18,11 +18,12 @@ class CameraOptions:
 
     Attributes:
         seconds: stop after this long.
-        size: WIDTHxHEIGHT to ask cameras of this machine for; that of the calibration if omitted.
-        rate: pictures a second to ask cameras of this machine for.
-        control: exposure=150,focus=auto or cam1.gain=0: what cameras of this machine are set to, as
-            `measure cameras` lists it; may be repeated.
-        lock: keep what their automatic control has found from the start on.
+        size: WIDTHxHEIGHT to request from cameras of this machine; that of the calibration if
+            omitted.
+        rate: pictures per second to request from cameras of this machine.
+        control: exposure=150,focus=auto or cam1.gain=0: settings for cameras of this machine, as
+            `measure cameras` lists them; may be repeated.
+        lock: lock the values that automatic control finds at the start.
     """
 
     seconds: float | None = None

@@ -41,7 +41,7 @@ def play(
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
-    """Play a run into whatever takes poses and the viewer, or a session as web cameras.
+    """Play a run to receivers of poses and the viewer, or a session as web cameras.
 
     It ends with the run, or when it is interrupted (Ctrl-C). With `--as-cameras` the cameras of a
     session are served to this computer as motion JPEG over HTTP, at their own stamps; printed is

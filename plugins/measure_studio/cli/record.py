@@ -41,7 +41,7 @@ def record(
         out: the session's folder.
         calibration: the cameras' calibration, copied into the session as the bodies' files are;
             they may come later.
-        spawn: open the viewer, and see there what the cameras show.
+        spawn: open the viewer, which shows the cameras' pictures.
     """
     names = () if calibration is None else studio_api.camera_names(calibration)
     given, request = studio_api.parse_cameras(cameras, names), capture.request()

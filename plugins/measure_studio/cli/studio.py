@@ -28,14 +28,14 @@ def studio(
     rendered: Annotated[str | None, Parameter(parse=False)] = None,
     registry: InjectedRegistry,
 ) -> None:
-    """Serve a page that leads from cameras on a desk to a measured object.
+    """Set up and measure in the browser, from cameras on a desk to a measured object.
 
     It runs until it is interrupted (Ctrl-C). Only this machine can open it, unless `--host` says
     otherwise; then its address holds a token, and whoever has that can use the cameras and the
     folder.
 
     Args:
-        folder: where everything is read and written; this one if omitted.
+        folder: the folder to read and write; the current one if omitted.
         cameras: NAME=ADDRESS each, as for `measure record`; those of the last time if omitted.
         port: to listen on; 0 for any that is free.
         browser: open the page in a browser.
