@@ -67,8 +67,8 @@ def _notify(over: threading.Event, compiled: Sequence[object]) -> None:
         if is_kept_for_now()
         else "once after an installation"
     )
-    _log.warning("compiling the hot loops: %s, two minutes on free cores", often)
+    _log.warning("compiling the numerical code: %s, two minutes on free cores", often)
     while not over.wait(AGAIN_S):
         share, taken_s = share_compiled(begun_s), time.monotonic() - begun
         left = f", about {taken_s * (1 / share - 1):.0f} s left" if share else ""
-        _log.warning("compiling the hot loops: %.0f %% done%s", 100 * share, left)
+        _log.warning("compiling the numerical code: %.0f %% done%s", 100 * share, left)

@@ -99,7 +99,7 @@ class SelfCalibratingDetector(Detector):
     def enter_realtime(self) -> None:
         """Do work that takes longer than an image in the background from now on.
 
-        Called where cameras are measured while they deliver, after the burn-in. Results may then
+        Called where cameras are measured live, after the burn-in. Results may then
         depend on the speed of the machine.
         """
 

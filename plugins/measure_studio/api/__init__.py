@@ -1,4 +1,4 @@
-"""What a notebook calls to see, record and measure cameras while they deliver."""
+"""What a notebook calls to see, record and measure running cameras."""
 
 from measure_studio.api.ball_colors import BallColors
 from measure_studio.api.cameras import cameras

@@ -1,4 +1,4 @@
-"""Measuring cameras while they deliver."""
+"""Measuring live, from running cameras."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def live(
     options: LiveOptions | None = None,
     on_state: Callable[[LiveState], None] = lambda _: None,
 ) -> LiveEnd:
-    """Measure cameras while they deliver, for a time or until interrupted.
+    """Measure live, from running cameras, for a time or until interrupted.
 
     Unlike those of a recording, poses do not wait for later pictures. Where measuring is slower
     than the cameras, frame sets are left out.

@@ -1,4 +1,4 @@
-"""Looking at cameras while they deliver: their newest pictures, and what is good or bad in them."""
+"""Looking at running cameras: their newest pictures, and what is good or bad in them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`measure live`: cameras measured while they deliver."""
+"""`measure live`: measuring live, from running cameras."""
 
 from __future__ import annotations
 
