@@ -15,12 +15,12 @@ from measure.arrays import Floats
 from measure.geometry import RigidTransform, skew
 from measure.model import Body, Camera, FrameSet, Image
 from measure.session import Trajectory
-from measure_plugins._outline.appearance.interreflection import balls_nearer
-from measure_plugins._outline.sampling.edge_crossing import levels
-from measure_plugins._outline.sampling.rays import (
+from measure_plugins._outline.appearance import balls_nearer
+from measure_plugins._outline.rays import (
     CLEAR,
     cast_rays,
     frame_about,
+    levels,
     mark_occluded,
     sample,
 )

@@ -18,7 +18,7 @@ from measure.model import Camera
 from measure.session import read_body, read_calibration, write_body
 from measure.simulation import Scene
 from measure.simulation.catalogue import cloth_room, motion, ring, shaft, stems, webcam_scene
-from measure.simulation.trajectory import MotionLimits
+from measure.simulation.scene import MotionLimits
 from tests.simulated.catalogue import async_scene, clutter_scene, four_ball_body
 
 SETS, HZ = 30, 30.0

@@ -23,8 +23,8 @@ from measure.model.lens import RAY, fill_rays
 from measure.session import open_session
 from measure.simulation import Renderer, Scene
 from measure.simulation.catalogue import webcam_scene
-from measure_plugins._outline.appearance.model import Appearance, first_appearance
-from measure_plugins._outline.fitting.edges import (
+from measure_plugins._outline.appearance import Appearance, first_appearance
+from measure_plugins._outline.edges import (
     INSIDE_PX,
     LATER_STEPS,
     OUTSIDE_PX,
@@ -34,13 +34,9 @@ from measure_plugins._outline.fitting.edges import (
     corrected_edges,
     find_edge_pairs,
 )
-from measure_plugins._outline.sampling.rays import cast_rays, frame_about
-from measure_plugins._outline.self_calibration.patch import (
-    BallPatch,
-    grouped_inputs,
-    prediction_inputs,
-)
-from measure_plugins._outline.self_calibration.schedule import Cone, SelfCalibration
+from measure_plugins._outline.rays import cast_rays, frame_about
+from measure_plugins._outline.response import BallPatch, grouped_inputs, prediction_inputs
+from measure_plugins._outline.self_calibration import Cone, SelfCalibration
 
 Row = Sequence[float] | Floats
 IMAGES = Path(__file__).parent / "images"

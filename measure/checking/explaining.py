@@ -28,7 +28,7 @@ from measure.checking.hypotheses import (
     wandering,
 )  # fmt: skip
 from measure.geometry import RigidTransform, chi_square_quantile
-from measure.geometry.normal_equations import symmetric_inverse
+from measure.geometry.covariance import symmetric_inverse
 
 _HUBER_SIGMAS = 3.0
 _BIAS_SHARE, _COMMON_SHARE = 0.5, 1.5

@@ -31,7 +31,7 @@ from measure.checking.evidence import (
 from measure.checking.explaining import fitted
 from measure.checking.hypotheses import MIDWAY, Hypothesis, hypotheses, laid_onto
 from measure.geometry import RigidTransform
-from measure.geometry.normal_equations import symmetric_inverse
+from measure.geometry.covariance import symmetric_inverse
 from measure.model import Camera
 from measure.session import JOINT_COVARIANCE, CameraSource, SessionParts
 

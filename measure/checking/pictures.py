@@ -21,7 +21,7 @@ from measure.measuring.duplicate_images import DuplicateImages
 from measure.measuring.smeared_images import SHARP_CAMERAS, Smear, smear_in
 from measure.measuring.woven_images import woven_cameras
 from measure.model import Detection, FrameSet
-from measure.model.frames import FULL
+from measure.model.observations import FULL
 from measure.session.timestamps import StampErrors
 
 _NOTE_SHARE, _WEAK_SHARE = 0.02, 0.5

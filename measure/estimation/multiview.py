@@ -72,7 +72,7 @@ class PointObservations:
 
     def by_camera(self, point: Floats) -> Floats:
         """Jacobians (n, 2, 18) of the pixels by the cameras' poses and intrinsics."""
-        from measure.model.rig_kernels import by_cameras
+        from measure.model.projection import by_cameras
 
         return by_cameras(self.rig.rows, point + self.shifts)
 
@@ -92,7 +92,7 @@ def calibration_noise(rig: Rig, points: Floats) -> Floats:
         rig: n cameras.
         points: (n, 3) in mm, one for each camera, or one point (3,) for all.
     """
-    from measure.model.rig_kernels import camera_noise
+    from measure.model.projection import camera_noise
 
     if not rig.uncertain:
         return np.zeros((len(rig), 2, 2))

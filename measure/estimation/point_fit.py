@@ -8,11 +8,11 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
-from measure.geometry.linear_kernels import inverse, solved
+from measure.geometry.kernels import inverse, solved
 from measure.geometry.rays import MIN_PARALLAX_RAD
 from measure.limits import MAX_STEPS, SETTLED
-from measure.model.rig import RigRows
-from measure.model.rig_kernels import camera_noise, project_one, ray_rows, rows_between
+from measure.model.camera_rows import RigRows
+from measure.model.projection import camera_noise, project_one, ray_rows, rows_between
 
 FITTED, PARALLEL, BEHIND = 0, 1, 2
 """How a fit ends: with a point, without one for parallel rays, with one behind a camera."""

@@ -1,13 +1,12 @@
 """Transforms, rays, cones and covariances: pure mathematics, no cameras, no pictures, no files."""
 
-from measure.geometry.cone import Cone, fit_cone, tangent_cone
 from measure.geometry.covariance import (
     UncertainTransform,
     chi_square_quantile,
     propagate,
     squared_mahalanobis,
 )
-from measure.geometry.rays import Rays, nearest_point, usable_pairs
+from measure.geometry.rays import Cone, Rays, fit_cone, nearest_point, tangent_cone, usable_pairs
 from measure.geometry.transform import RigidTransform, align_points, chart_jacobian, skew
 
 __all__ = [

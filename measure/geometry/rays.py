@@ -1,10 +1,19 @@
-"""Rays, taken as whole lines: the point nearest to them, and pairs that are far from parallel."""
+"""Rays, and cones of rays tangent to spheres: their outlines, exactly.
+
+Rays are taken as whole lines. A camera sees a sphere of radius R at distance D along the unit
+vector `a` as the cone of bearings v with `v . a = cos(alpha)`, `sin(alpha) = R / D`. With
+w = a / cos(alpha) that reads `v . w = 1`: linear in three unknowns, so the fit needs no start. The
+centre of the ellipse in the image is *not* the image of the sphere's centre; the cone's axis is.
+(Shiu and Ahmad 1989; the linear form is in notes on the projected sphere, e.g. Zhang, Wong and
+Zhang 2007.)
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from measure.arrays import Floats, Ints, floats
 from measure.errors import DegenerateGeometryError
@@ -81,3 +90,98 @@ def usable_pairs(rays: Rays, min_angle_rad: float = MIN_PARALLAX_RAD) -> Ints:
             f"more (widest {np.degrees(np.arcsin(min(sines.max(initial=0.0), 1.0))):.3f} deg)"
         )
     return pairs[good]
+
+
+@dataclass(frozen=True, eq=False)
+class Cone:
+    """A right circular cone with its apex at the camera."""
+
+    axis: Floats  # (3,) unit vector towards the sphere's centre
+    half_angle: float  # in rad, 0 < half_angle < pi / 2
+    # (3, 3) of `axis / cos(half_angle)`, from the bearings' scatter; None if unknown.
+    covariance: Floats | None = None
+
+    def center(self, radius_mm: float) -> Floats:
+        """Centre (3,) in mm of the sphere of `radius_mm` that this cone is tangent to."""
+        return self.axis * (radius_mm / np.sin(self.half_angle))
+
+    def bearings(self, angles: ArrayLike) -> Floats:
+        """Unit vectors (n, 3) on the cone at `angles` (n,) in rad around its axis."""
+        e1, e2 = _perpendiculars(self.axis)
+        phi = np.asarray(angles, dtype=np.float64)[..., None]
+        around = np.cos(phi) * e1 + np.sin(phi) * e2
+        return np.cos(self.half_angle) * self.axis + np.sin(self.half_angle) * around
+
+    def residuals(self, bearings: Floats) -> Floats:
+        """Angles (n,) in rad by which bearings (n, 3) lie outside the cone (negative: inside)."""
+        off_axis = np.linalg.norm(np.cross(bearings, self.axis), axis=-1)
+        return np.arctan2(off_axis, bearings @ self.axis) - self.half_angle
+
+
+def tangent_cone(center: ArrayLike, radius_mm: float) -> Cone:
+    """The cone from the origin tangent to a sphere at `center` (3,) in mm.
+
+    Raises:
+        DegenerateGeometryError: the origin is inside the sphere.
+    """
+    c = floats("center", center, 3)
+    distance = float(np.linalg.norm(c))
+    if distance <= radius_mm:
+        raise DegenerateGeometryError(
+            f"the camera is inside the ball (distance {distance:.1f} mm, radius {radius_mm:.1f} mm)"
+        )
+    return Cone(c / distance, float(np.arcsin(radius_mm / distance)))
+
+
+def fit_cone(bearings: ArrayLike, weights: ArrayLike | None = None) -> Cone:
+    """Least-squares cone through n >= 3 bearings (n, 3), any arc of the outline.
+
+    Args:
+        bearings: (n, 3) directions of outline points, any length; rows with NaN are left out.
+        weights: (n,) inverse variances up to a factor; all equal if omitted.
+
+    Raises:
+        DegenerateGeometryError: fewer than three bearings, an arc too short, or no such cone.
+    """
+    v = floats("bearings", bearings, "n", 3)
+    root = np.ones(len(v)) if weights is None else np.sqrt(floats("weights", weights, len(v)))
+    seen = np.isfinite(v).all(axis=1)
+    v, root = v[seen], root[seen]
+    v = v / np.linalg.norm(v, axis=1, keepdims=True)
+    if np.count_nonzero(root) < 3:
+        raise DegenerateGeometryError(
+            f"a cone needs 3 outline points, got {np.count_nonzero(root)}"
+        )
+    # The outline is a narrow bundle: solve about its mean, where the system is well conditioned.
+    mean = np.average(v, axis=0, weights=root**2)
+    mean /= np.linalg.norm(mean)
+    frame = np.stack([*_perpendiculars(mean), mean])
+    local = v @ frame.T
+    scale = float(np.sqrt(np.mean(np.sum(local[:, :2] ** 2, axis=1))))
+    design = np.column_stack([local[:, :2] / scale, local[:, 2]]) * root[:, None]
+    u, s, vt = np.linalg.svd(design, full_matrices=False)
+    if s[-1] < 1e-9 * s[0]:
+        raise DegenerateGeometryError(
+            f"{len(v)} outline points lie on one line of sight: "
+            f"rank {int(np.sum(s > 1e-9 * s[0]))} of 3"
+        )
+    solution = vt.T @ ((u.T @ root) / s)
+    residual = root - design @ solution
+    back = frame.T @ np.diag([1 / scale, 1 / scale, 1.0])
+    w = back @ solution
+    length = float(np.linalg.norm(w))
+    if length <= 1.0:
+        raise DegenerateGeometryError(
+            f"no cone fits the {len(v)} outline points (|w| = {length:.6f} <= 1)"
+        )
+    spread = float(residual @ residual) / max(len(v) - 3, 1)
+    covariance = back @ (vt.T @ np.diag(spread / s**2) @ vt) @ back.T
+    return Cone(w / length, float(np.arccos(1.0 / length)), covariance)
+
+
+def _perpendiculars(axis: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors that complete `axis` (3,) to a right-handed frame (e1, e2, axis)."""
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    e1 = np.cross(helper, axis)
+    e1 /= np.linalg.norm(e1)
+    return e1, np.cross(axis, e1)

@@ -92,7 +92,7 @@ def _tell_pose(seen: _Seen) -> bool:
 def _linearised(
     body: Body, place: RigidTransform, seen: _Seen, cameras: Sequence[Camera]
 ) -> _CenterEquations:
-    from measure.model.rig_kernels import by_cameras
+    from measure.model.projection import by_cameras
 
     by_name = {camera.name: camera for camera in cameras}
     rows = [list(by_name).index(d.camera) for d, _ in seen]

@@ -1,20 +1,20 @@
 """Bodies, cameras, and what was seen: detections, positions of balls, and poses."""
 
-from measure.model.body import Ball, Body, paper_body
-from measure.model.camera import Camera, Intrinsics, Projection
-from measure.model.color import BallColor, ColorRange, ConvertedImage
-from measure.model.frames import FrameSet, Image
-from measure.model.motion import Motion
+from measure.model.body import Ball, BallColor, Body, ColorRange, ConvertedImage, paper_body
+from measure.model.camera import Camera, Intrinsics, Rig
+from measure.model.camera_rows import Projection, RigRows
 from measure.model.observations import (
     BallPosition,
     BallView,
     Detection,
     Expectation,
+    FrameSet,
+    Image,
+    Motion,
     Pose,
     Reason,
     State,
 )
-from measure.model.rig import Rig, RigRows
 from measure.model.rig_fit import (
     BoardObservation,
     CameraFit,

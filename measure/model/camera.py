@@ -1,27 +1,29 @@
-"""The camera: OpenCV's pinhole with distortion or its fisheye, standing somewhere in the world."""
+"""Cameras, each standing somewhere in the world, and several stacked as arrays.
+
+Lenses are OpenCV's pinhole with distortion or its fisheye. One call projects a point into all
+cameras of a rig.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats, Ints, floats
 from measure.geometry import Cone, Rays, RigidTransform, tangent_cone
+from measure.model.camera_rows import (
+    Projection,
+    RigRows,
+    check_coefficients,
+    fisheye_fold,
+    pinhole_fold,
+)
 
-if TYPE_CHECKING:
-    from measure.model.rig import RigRows
-
-Projection = Literal["pinhole", "fisheye"]
-"""Lens models: a pinhole with distortion, or an equidistant fisheye, both as OpenCV has them."""
 USUAL_FOCAL = 0.72  # Focal length over the longer side of a picture, of ordinary webcams
-_WIDEST_RAD = np.deg2rad(89.0)
-MIN_DEPTH_MM = 1e-6
-"""Points nearer to the camera's plane than this, or behind it, have no image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +79,7 @@ class Intrinsics:
     @cached_property
     def reach(self) -> float:
         """Ideal (undistorted, normalised) radius beyond which the lens model sees nothing."""
-        fold = _fisheye_fold if self.model == "fisheye" else _pinhole_fold
+        fold = fisheye_fold if self.model == "fisheye" else pinhole_fold
         return fold(self.distortion)
 
     def project(self, points_camera: ArrayLike) -> Floats:
@@ -85,7 +87,7 @@ class Intrinsics:
 
         NaN for points not in front of it, or so far aside that the lens model folds.
         """
-        from measure.model.rig_kernels import project_rows
+        from measure.model.projection import project_rows
 
         points = floats("points_camera", points_camera, "n", 3)
         return project_rows(self._alone, np.ascontiguousarray(points))[0]
@@ -93,8 +95,6 @@ class Intrinsics:
     @cached_property
     def _alone(self) -> RigRows:
         """As compiled code takes a camera that stands at the origin."""
-        from measure.model.rig import RigRows
-
         return RigRows(
             lenses=self.row[None],
             reach=np.array([self.reach]),
@@ -122,7 +122,7 @@ class Intrinsics:
 
         Points are undistorted, never images: resampling blurs the very edges that are measured.
         """
-        from measure.model.rig_kernels import ray_rows
+        from measure.model.projection import ray_rows
 
         return ray_rows(np.ascontiguousarray(floats("pixels", pixels, "n", 2)), self._alone)
 
@@ -137,53 +137,9 @@ class Intrinsics:
             return np.all((pixels >= margin_px) & (pixels <= upper), axis=-1)
 
 
-def _pinhole_fold(coefficients: Floats) -> float:
-    """The ideal radius up to which the radial distortion grows; infinite if it always does.
-
-    With s = r^2 the distorted radius is r A(s) / B(s); it turns back where its derivative's
-    numerator A B + 2 s (A' B - A B') or the denominator B vanishes.
-    """
-    k1, k2, _, _, k3, k4, k5, k6 = coefficients
-    above, below = np.array([1.0, k1, k2, k3]), np.array([1.0, k4, k5, k6])
-    rising, falling = (np.arange(1.0, 4.0) * p[1:] for p in (above, below))
-    slope = np.convolve(above, below)
-    slope[1:] += 2 * (np.convolve(rising, below) - np.convolve(above, falling))
-    # Both are 1 at s = 0. In t = 1 / s they start with 1 and stay tame if coefficients vanish.
-    largest = max(_largest_root(polynomial) for polynomial in (slope, below))
-    return float(1 / np.sqrt(largest)) if largest else float("inf")
-
-
-def _fisheye_fold(coefficients: Floats) -> float:
-    """The ideal radius up to which the model holds: it does not fold, and the ray is in front."""
-    k1, k2, k3, k4 = coefficients[:4]
-    # The derivative's roots in 1 / angle^2, in which it stays tame if coefficients vanish.
-    largest = _largest_root(np.array([1.0, 3 * k1, 5 * k2, 7 * k3, 9 * k4]))
-    return float(np.tan(min(_WIDEST_RAD, 1 / np.sqrt(max(largest, 1e-9)))))
-
-
-def _largest_root(polynomial: Floats) -> float:
-    """Its largest positive root, highest power first; 0 without one."""
-    roots = np.roots(polynomial)
-    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
-    return float(real.max(initial=0.0))
-
-
-def check_coefficients(distortion: Sequence[float] | Floats, model: Projection) -> None:
-    """Refuse distortion coefficients that a lens model does not have.
-
-    Raises:
-        ValueError: with their number.
-    """
-    given = len(distortion)
-    if given not in (0, 4, 5, 8):
-        raise ValueError(f"distortion: expected 0, 4, 5 or 8 coefficients, got {given}")
-    if model == "fisheye" and np.any(distortion[4:]):
-        raise ValueError(f"distortion of a fisheye: expected 0 or 4 coefficients, got {given}")
-
-
 def _with_jacobians(camera: RigRows, points: Floats) -> tuple[Floats, Floats, Floats]:
     """Pixels (n, 2), Jacobians by the points (n, 2, 3) and by pose and intrinsics (n, 2, 18)."""
-    from measure.model.rig_kernels import by_cameras, project_rows
+    from measure.model.projection import by_cameras, project_rows
 
     points = np.ascontiguousarray(points)
     pixels, by_point = project_rows(camera, points)
@@ -280,8 +236,6 @@ class Camera:
             Pixels (n, 2); Jacobians by the world point (n, 2, 3), by the pose's `perturb` chart
             (n, 2, 6), and by the intrinsics (n, 2, 12).
         """
-        from measure.model.rig import Rig
-
         world = floats("points_world", points_world, "n", 3)
         pixels, by_world, by_camera = _with_jacobians(Rig.of((self,)).rows, world)
         return pixels, by_world, by_camera[:, :, :6], by_camera[:, :, 6:]
@@ -299,3 +253,77 @@ class Camera:
         """
         center = self.camera_from_world.apply(floats("center_world", center_world, 3))
         return self.intrinsics.outline(tangent_cone(center, radius_mm), count)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Cameras as arrays, one row per camera; a camera may stand in it more than once."""
+
+    names: tuple[str, ...]  # (n,) of the cameras
+    rows: RigRows  # of the cameras, in the same order
+
+    @classmethod
+    def of(cls, cameras: Sequence[Camera]) -> Rig:
+        """Stack `cameras`; the same cameras are stacked only once."""
+        return _stacked(tuple(cameras))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @cached_property
+    def uncertain(self) -> bool:
+        """Whether anything about the cameras is stated to be uncertain."""
+        return bool(np.any(self.rows.covariances))
+
+    @property
+    def centers(self) -> Floats:
+        """Projection centres (n, 3) in the world, mm."""
+        return self.rows.centers
+
+    @property
+    def focal_px(self) -> Floats:
+        """Mean focal lengths (n,) in px."""
+        return (self.rows.lenses[:, 0] + self.rows.lenses[:, 3]) / 2
+
+    def take(self, rows: ArrayLike) -> Rig:
+        """The cameras of some `rows`, in that order."""
+        index = np.asarray(rows, dtype=np.int64)
+        names = tuple(self.names[i] for i in index.tolist())
+        return Rig(names, RigRows._make(each[index] for each in self.rows))
+
+    def project(self, points_world: Floats) -> tuple[Floats, Floats]:
+        """Project point i into camera i.
+
+        Args:
+            points_world: (n, 3) in mm, or one point (3,) for all cameras.
+
+        Returns:
+            Pixels (n, 2) and their Jacobians by the world point (n, 2, 3); NaN for
+            points without an image.
+        """
+        from measure.model.projection import project_rows
+
+        points = np.broadcast_to(points_world, (len(self), 3))
+        return project_rows(self.rows, np.ascontiguousarray(points, dtype=np.float64))
+
+    def rays(self, pixels: Floats) -> Rays:
+        """World rays of pixel i (n, 2) in camera i; NaN where the lens has no inverse."""
+        from measure.model.projection import ray_rows
+
+        seen = np.ascontiguousarray(pixels, dtype=np.float64)
+        return Rays(self.centers, ray_rows(seen, self.rows))
+
+
+@lru_cache(maxsize=256)
+def _stacked(cameras: tuple[Camera, ...]) -> Rig:
+    """Cameras compare by identity: what is kept never stands for a camera that was changed."""
+    lenses, unknown = [camera.intrinsics for camera in cameras], np.zeros((18, 18))
+    known = [unknown if c.covariance is None else c.covariance for c in cameras]
+    rows = RigRows(
+        np.array([lens.row for lens in lenses]).reshape(-1, 16),
+        np.array([lens.reach for lens in lenses], dtype=np.float64),
+        np.array([c.world_from_camera.rotation for c in cameras]).reshape(-1, 3, 3),
+        np.array([c.center for c in cameras]).reshape(-1, 3),
+        np.array(known).reshape(-1, 18, 18),
+    )
+    return Rig(tuple(camera.name for camera in cameras), rows)

@@ -1,17 +1,96 @@
-"""What was seen: expectations, detections, their state, positions and poses."""
+"""What was seen: images, expectations, detections, their state, positions, poses and motions."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import lru_cache
+from threading import Lock
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from measure.arrays import Floats, stacked
+from measure.arrays import Bytes, Floats, floats, stacked
 from measure.geometry import RigidTransform
+
+FULL = 250
+"""Picture values from here on may be clipped: JPEG moves them by some levels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """One camera's picture."""
+
+    camera: str  # the camera's name
+    frame: int  # its number in that camera's recording
+    time_s: float  # the middle of its exposure, on the session's clock
+    # returns the pixels, BGR (h, w, 3) uint8; called once, maybe in another thread, and
+    # again only if they are used after `release`.
+    decode: Callable[[], Bytes]
+    # the original JPEG bytes where there are any (for the viewer), else None.
+    encoded: bytes | None = None
+    time_sd_s: float = 0.0  # standard deviation of `time_s`, where its stamps show one
+    _turn: Lock = field(default_factory=Lock, init=False, repr=False)
+    _decoded: list[Bytes] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def pixels(self) -> Bytes:
+        """BGR pixels (h, w, 3), decoded on first use."""
+        # Not a `cached_property`: before Python 3.12 all instances share its lock, so that only
+        # one thread of all would decode.
+        with self._turn:
+            if not self._decoded:
+                self._decoded.append(self.decode())
+            return self._decoded[0]
+
+    def release(self) -> None:
+        """Let go of the pixels, where they can be decoded again."""
+        if self.encoded is not None:
+            with self._turn:
+                self._decoded.clear()
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSet:
+    """The images of all cameras that belong to one instant; a camera without one is left out."""
+
+    index: int  # number of the set in the session
+    time_s: float  # the instant
+    images: dict[str, Image]  # by camera name
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A pose at a time, with a velocity in the pose's `perturb` chart."""
+
+    world_from_body: RigidTransform  # the pose at `time_s`
+    time_s: float  # the instant
+    velocity: Floats  # (6,) mm/s and rad/s, both in the world
+    covariance: Floats | None = None  # (6, 6) of the pose at `time_s`; None if unknown
+    velocity_covariance: Floats | None = None  # (6, 6) of the velocity; None if unknown
+    # (6, 6) mean square of the acceleration that `moved` leaves out, in mm/s^2 and rad/s^2; None if
+    # it leaves out none, or that is unknown.
+    acceleration_square: Floats | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "velocity", floats("velocity", self.velocity, 6))
+
+    @classmethod
+    def at_rest(cls, world_from_body: RigidTransform, time_s: float) -> Motion:
+        """A body that does not move."""
+        return cls(world_from_body, time_s, np.zeros(6))
+
+    def moved(self, time_s: ArrayLike) -> Floats:
+        """How far (..., 6) the body has moved at other times (...), in the chart of the pose."""
+        return np.multiply.outer(np.asarray(time_s) - self.time_s, self.velocity)
+
+    def at(self, time_s: float) -> RigidTransform:
+        """The pose at another time."""
+        if time_s == self.time_s:
+            return self.world_from_body
+        return self.world_from_body.perturb(self.moved(time_s))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

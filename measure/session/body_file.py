@@ -15,8 +15,7 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_
 from measure.arrays import Bytes, Floats
 from measure.errors import DegenerateGeometryError, SessionError
 from measure.model import Ball, BallColor, Body, ColorRange
-from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
-from measure.model.color import HUE_PERIOD, NAMED_RANGES
+from measure.model.body import HUE_PERIOD, NAMED_RANGES, USUAL_RADIUS_TOLERANCE_MM
 from measure.reading import FileModel
 from measure.session.files import Length, Name, Position, SafeName, dump_toml, load_toml
 from measure.session.pictures import read_picture

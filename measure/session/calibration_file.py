@@ -21,7 +21,7 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, Projection
-from measure.model.camera import check_coefficients
+from measure.model.camera_rows import check_coefficients
 from measure.reading import FileModel
 from measure.session.files import SafeName, dump_toml, load_toml
 

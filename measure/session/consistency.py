@@ -11,7 +11,7 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError, DegenerateGeometryError, SessionError
 from measure.geometry import align_points
 from measure.model import Ball, Body, Camera, ColorRange
-from measure.model.color import HUE_PERIOD
+from measure.model.body import HUE_PERIOD
 from measure.session.calibration_file import Calibration
 
 _MOST_BODIES = 6

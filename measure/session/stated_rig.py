@@ -13,7 +13,7 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, Projection
-from measure.model.camera import check_coefficients
+from measure.model.camera_rows import check_coefficients
 from measure.session.calibration_file import NO_CAMERA_MATRIX, Calibration, is_camera_matrix
 
 Unit = Literal["mm", "cm", "m"]

@@ -2,15 +2,22 @@
 
 from measure.simulation.recording import write_session
 from measure.simulation.renderer import Renderer, render
-from measure.simulation.scene import Actor, Capsule, Cuboid, Lamp, Lighting, Material, Scene, Sphere
-from measure.simulation.sensor import CameraSensor
-from measure.simulation.trajectory import (
+from measure.simulation.scene import (
+    Actor,
+    Capsule,
     ContinuousTrajectory,
+    Cuboid,
+    Lamp,
+    Lighting,
+    Material,
     MotionLimits,
+    Scene,
     Sines,
+    Sphere,
     Still,
     random_motion,
 )
+from measure.simulation.sensor import CameraSensor
 
 __all__ = [
     "Actor", "CameraSensor", "Capsule", "ContinuousTrajectory", "Cuboid", "Lamp", "Lighting",

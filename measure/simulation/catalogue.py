@@ -7,9 +7,20 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera, Intrinsics, paper_body
-from measure.simulation.scene import Capsule, Cuboid, Lamp, Lighting, Material, Rgb, Scene, Shape
+from measure.simulation.scene import (
+    Capsule,
+    Cuboid,
+    Lamp,
+    Lighting,
+    Material,
+    MotionLimits,
+    Rgb,
+    Scene,
+    Shape,
+    Sines,
+    random_motion,
+)
 from measure.simulation.sensor import CameraSensor
-from measure.simulation.trajectory import MotionLimits, Sines, random_motion
 
 WORKSPACE_MM = np.array([0.0, 0.0, 250.0])
 """The middle of the workspace; the world's origin is on the floor below it."""

@@ -13,7 +13,7 @@ from measure.api import load_profile, measure_session
 from measure.host import Registry
 from measure.measuring import Status
 from measure.session import open_session, read_trajectory
-from measure_plugins._outline.self_calibration.estimate import BENDS_SD, has_common_response
+from measure_plugins._outline.self_calibration import BENDS_SD, has_common_response
 from measure_plugins.detectors.outline import OutlineDetector
 
 pytestmark = pytest.mark.slow

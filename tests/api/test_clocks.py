@@ -14,7 +14,7 @@ from measure.cli.app import main
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure.simulation.catalogue import WEBCAM, WORKSPACE_MM, webcam_scene
-from measure.simulation.trajectory import Sines
+from measure.simulation.scene import Sines
 from tests.simulated.sessions import rendered
 
 LATE_S = {"cam0": 0.0, "cam1": 0.006, "cam2": -0.004, "cam3": 0.0}

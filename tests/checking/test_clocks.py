@@ -8,7 +8,7 @@ from measure.checking.clocks import estimate_clocks
 from measure.checking.explaining import fitted
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
-from measure.geometry.normal_equations import symmetric_inverse
+from measure.geometry.covariance import symmetric_inverse
 from measure.measuring import Measurement, Status
 from measure.model import BallView, Pose
 from measure.model.observations import State

@@ -14,7 +14,7 @@ from measure.geometry import (
     skew,
     squared_mahalanobis,
 )
-from measure.geometry.normal_equations import posterior_covariance, undetermined
+from measure.geometry.covariance import posterior_covariance, undetermined
 
 
 @given(transforms(), covariances())

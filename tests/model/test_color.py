@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from measure.model import BallColor, ColorRange
-from measure.model.color import NAMED_RANGES
+from measure.model.body import NAMED_RANGES
 
 PURE = {
     "red": (0, 0, 255), "orange": (0, 128, 255), "yellow": (0, 255, 255), "green": (0, 255, 0),

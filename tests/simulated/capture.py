@@ -15,12 +15,10 @@ from measure.geometry import RigidTransform
 from measure.model import Camera, paper_body
 from measure.session import Calibration, write_calibration
 from measure.simulation import kernels
-from measure.simulation.caster import Stage
 from measure.simulation.catalogue import WEBCAM, WORKSPACE_MM, cloth_room, lamps, look_at, paper_rig
-from measure.simulation.renderer import Renderer
-from measure.simulation.scene import Capsule, Lighting, Material, Scene, Shape, Sphere
+from measure.simulation.renderer import Renderer, Stage
+from measure.simulation.scene import Capsule, Lighting, Material, Scene, Shape, Sphere, Still
 from measure.simulation.sensor import CameraSensor, encode
-from measure.simulation.trajectory import Still
 from tests.simulated.boards import Chessboard
 
 DOT = Material((0.8, 0.8, 0.8), 0.04, 0.1)

@@ -26,12 +26,12 @@ from measure.simulation.scene import (
     Cuboid,
     Lighting,
     Material,
+    MotionLimits,
     Scene,
     Shape,
     Sphere,
     painted,
 )
-from measure.simulation.trajectory import MotionLimits
 from tests.simulated.mirroring import mirrored
 from tests.simulated.rooms import coloured_room
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
-from measure.simulation.scene import Actor, Scene, ball_shapes
-from measure.simulation.trajectory import ContinuousTrajectory
+from measure.simulation.scene import Actor, ContinuousTrajectory, Scene, ball_shapes
 
 
 def without_balls(scene: Scene) -> Scene:

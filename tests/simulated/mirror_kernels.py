@@ -19,18 +19,16 @@ from measure.simulation.kernels import (
     REACH,
     REFLECTANCE,
     ROUGHNESS,
+    Lights,
     Points,
     Triple,
-    enter,
-    find_normal,
-    offset,
-)
-from measure.simulation.light_kernels import (
-    Lights,
     ambient_share,
+    enter,
     facing,
+    find_normal,
     fresnel,
     mirror_direction,
+    offset,
     raised,
     reflect_point,
 )

@@ -15,8 +15,7 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.simulation import kernels
-from measure.simulation.kernels import REUSE, Points, no_points
-from measure.simulation.light_kernels import Lights
+from measure.simulation.kernels import REUSE, Lights, Points, no_points
 from measure.simulation.scene import Scene
 from tests.simulated.mirror_kernels import (
     count_facets,

@@ -11,7 +11,7 @@ from measure.errors import DegenerateGeometryError
 from measure.geometry import Cone, RigidTransform, fit_cone, propagate, tangent_cone
 from measure.model import Ball, Camera, Detection
 from measure.simulation import kernels
-from measure.simulation.caster import Stage
+from measure.simulation.renderer import Stage
 from measure.simulation.scene import Scene, Shape
 
 MIN_POINTS = 8

@@ -23,8 +23,7 @@ from measure.simulation.catalogue import (
     stems,
     webcam_scene,
 )
-from measure.simulation.scene import Lamp, Lighting, Rgb, Scene, Sphere, painted
-from measure.simulation.trajectory import MotionLimits
+from measure.simulation.scene import Lamp, Lighting, MotionLimits, Rgb, Scene, Sphere, painted
 from tests.simulated.catalogue import MATT, body, clutter_scene, four_ball_body, rolling
 from tests.simulated.mirroring import mirrored
 

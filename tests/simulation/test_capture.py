@@ -11,7 +11,7 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.simulation import CameraSensor, Renderer
-from measure.simulation.canvas import reduced
+from measure.simulation.renderer import reduced
 from tests.simulated.boards import Chessboard, charuco
 from tests.simulated.capture import CaptureScene, write_capture
 from tests.simulation.test_renderer import FLAT_LIGHT, small_camera, white_scene

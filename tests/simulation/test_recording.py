@@ -17,7 +17,7 @@ from tests.simulated.catalogue import async_scene, scene_catalogue
 
 def small(scene: Scene) -> Scene:
     """The same scene through cameras of a quarter of the size."""
-    from measure.simulation.canvas import reduced
+    from measure.simulation.renderer import reduced
 
     cameras = tuple(replace(c, intrinsics=reduced(c.intrinsics, 4)) for c in scene.cameras)
     return replace(scene, cameras=cameras)

@@ -10,7 +10,7 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.model import Ball, Camera, Detection, Rig
-from measure.model.rig_kernels import ray_rows
+from measure.model.projection import ray_rows
 
 RADIUS_SD = 0.03  # Of an outline, as a share of it: light and paint move edges
 SLACK_MM = 1.0  # Rays that pass this close always intersect: cameras are not quite simultaneous

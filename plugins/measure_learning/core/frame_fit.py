@@ -14,8 +14,7 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints, rms_length
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
-from measure.geometry.covariance import squared_mahalanobis
-from measure.geometry.normal_equations import posterior_covariance, undetermined
+from measure.geometry.covariance import posterior_covariance, squared_mahalanobis, undetermined
 from measure.limits import LEVER_MM, MAX_STEPS
 from measure.metrology.poses import PoseTable, SharedErrors, independent_count
 from measure.robots import SerialChain

@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
-from measure.geometry.normal_equations import posterior_covariance
+from measure.geometry.covariance import posterior_covariance
 from measure.metrology.poses import PoseTable
 from measure_learning.core.frame_fit import FRAMES, FrameFit, LinearModel, Sightings, precision
 

@@ -17,8 +17,7 @@ import numpy as np
 from measure.arrays import Floats, Ints, rms_length
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
-from measure.geometry.covariance import inverted
-from measure.geometry.normal_equations import posterior_covariance
+from measure.geometry.covariance import inverted, posterior_covariance
 from measure.limits import CLEAR_RATIO, LEVER_MM
 from measure.robots import SerialChain
 from measure_learning.core.frame_fit import (

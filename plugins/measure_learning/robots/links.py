@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Floats, floats
 from measure.geometry import RigidTransform, skew
-from measure.geometry.normal_equations import posterior_covariance
+from measure.geometry.covariance import posterior_covariance
 from measure.limits import MAX_STEPS
 from measure.robots import SerialChain
 

@@ -1,14 +1,22 @@
-"""Candidates of the balls in one picture: circles of their colours, the best first."""
+"""Candidates of the balls in one picture: circles of their colours, the best first.
+
+A picture of any size is reduced to a few hundred pixels across before circles are looked for, so
+that small balls of a large picture are lost. A lattice of its pixels, some of them on every
+ball, shows where small patches of a colour are. These are cut out, reduced to like sizes, laid side
+by side, and searched as one picture.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
-from measure.arrays import Bytes, Floats
+from measure.arrays import Bytes, Floats, Ints
 from measure.model import BallColor
 from measure_plugins._acquisition.circles import circles_of, distinct
 from measure_plugins._acquisition.color_table import (
@@ -21,8 +29,180 @@ from measure_plugins._acquisition.color_table import (
     much_in_shade,
     with_shade,
 )
-from measure_plugins._acquisition.patches import majority
-from measure_plugins._acquisition.small import MIN_RADIUS_PX, find_small_circles
+
+OFF = 2
+"""Value of a mask outside the picture."""
+
+
+def majority(bits: Bytes) -> Bytes:
+    """A 3 x 3 median filter of every bit; pixels at the picture's border count twice.
+
+    Args:
+        bits: (h, w) colours of each pixel.
+    """
+    out, there = np.zeros_like(bits), int(np.bitwise_or.reduce(bits, axis=None))
+    for bit in (1 << k for k in range(8)):
+        if there & bit:
+            out |= np.asarray(cv2.medianBlur(bits & np.uint8(bit), 3), np.uint8)
+    return out
+
+
+def framed(bits: Bytes, bit: int) -> Bytes:
+    """(h + 2, w + 2): 1 where pixels have a colour, 0 where not, in a margin of OFF."""
+    out = np.full((bits.shape[0] + 2, bits.shape[1] + 2), np.uint8(OFF))
+    out[1:-1, 1:-1] = (bits & np.uint8(bit)) != 0
+    return out
+
+
+def borders(mask: Bytes, least: int) -> list[Ints]:
+    """Outer borders of a colour's patches, those further up first.
+
+    Args:
+        mask: (h + 2, w + 2) of the colour, see `framed`.
+        least: borders with fewer pixels are left out.
+
+    Returns:
+        (n, 2) pixels x, y of each, in order.
+    """
+    inner = np.ascontiguousarray(mask[1:-1, 1:-1])
+    found, _ = cv2.findContours(inner, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return [np.array(one[:, 0], np.int64) for one in reversed(found) if len(one) >= least]
+
+
+MIN_RADIUS_PX = 6.0
+"""Smallest outline radius searched for: rough circles of balls of 7 px are up to 1 px smaller."""
+_LATTICE_PX = 6
+"""Distance of the pixels looked at: four or more of them lie on any disc of 7 px radius."""
+_MIN_PIXELS = 4  # Fewest pixels of a patch in the lattice
+_MIN_FULL, _MIN_ASPECT = 0.5, 0.4
+"""Least share of a patch's bounding box that it fills, and of the box's longer side that is its
+shorter one: a disc fills 0.79, and so does one that is half hidden."""
+_LARGEST = 24
+"""Largest patch, in pixels of the reduced picture: there, whole balls are found from a diameter of
+7 on, and half hidden ones from 20 on."""
+_MOST_PATCHES = 64  # Of a colour, the largest ones: more are noise, or texture
+_STEP = 2  # By how much what is laid side by side is reduced
+_PATCH, _MARGIN = 36, 5
+"""Largest side of a patch then, and how much is cut out round it, by which circles are judged."""
+_SIDE_PX = _STEP * (_PATCH + 2 * _MARGIN)
+_MIN_SMALL_SEEN, _MIN_SMALL_FILLED = 0.4, 0.4
+"""Least share of a circle in sight, and of its inside that has the colour: of half a ball."""
+_BESIDE = 0.5  # How far outside of its patch a circle's centre may be, in radii: hidden balls
+
+
+_NOTHING = np.empty((0, 0), np.uint8)
+
+
+class _Patches(NamedTuple):
+    """Small patches of a colour."""
+
+    low: Ints  # (n, 2) first pixel x, y of each
+    high: Ints  # (n, 2) last pixel
+    scale: Ints  # (n,) by how much each is reduced before it is laid beside others, a power of two
+
+
+def find_small_circles(
+    pixels: Bytes, table: Bytes, bits: Sequence[int], step: int, most: int
+) -> list[Floats]:
+    """Circles of some colours that are too small for the picture reduced by `step`, best first.
+
+    Args:
+        pixels: BGR (h, w, 3), contiguous.
+        table: of colours, see `color_table`.
+        bits: their numbers in it.
+        step: reduction, see `classify`.
+        most: circles of each.
+
+    Returns:
+        (k, 6) for each, see `FoundCircles`.
+    """
+    grid = classify(pixels, table, table, _LATTICE_PX)[0] if step > _STEP else _NOTHING
+    patches = [_small_patches(grid, bit, _LARGEST * step) for bit in bits]
+    count = sum(len(some.low) for some in patches)
+    if count == 0:
+        return [np.empty((0, 6)) for _ in bits]
+    columns = round(count**0.5)
+    rows = np.cumsum([0, *(-(-len(some.low) // columns) for some in patches)])
+    sheet = np.zeros((_SIDE_PX * int(rows[-1]), _SIDE_PX * columns, 3), np.uint8)
+    for some, row in zip(patches, rows.tolist(), strict=False):
+        _lay_side_by_side(pixels, some, sheet[_SIDE_PX * row :], columns)
+    seen, _ = classify(sheet, table, table, _STEP)
+    seen, per_row = majority(seen), _SIDE_PX // _STEP
+    return [
+        _circles_in(seen[per_row * first : per_row * last], bit, some, columns, most)
+        for bit, some, (first, last) in zip(bits, patches, pairwise(rows.tolist()), strict=True)
+    ]
+
+
+def _small_patches(grid: Bytes, bit: int, largest_px: int) -> _Patches:
+    """Patches of a colour in a lattice of pixels that may be balls no larger than that."""
+    none = np.empty((0, 2), np.int64)
+    used = np.nonzero((grid & np.uint8(1 << bit)).any(axis=1))[0]
+    if len(used) == 0:
+        return _Patches(none, none, none[:, 0])
+    first = int(used[0])
+    outer = borders(framed(grid[first : used[-1] + 1], 1 << bit), _MIN_PIXELS)
+    if not outer:
+        return _Patches(none, none, none[:, 0])
+    at, ends = np.concatenate(outer), np.cumsum([len(one) for one in outer])
+    starts = np.concatenate([[0], ends[:-1]])
+    low, high = np.minimum.reduceat(at, starts), np.maximum.reduceat(at, starts)
+    (width, height), area = (high - low + 1).T, _areas(at, starts, ends)
+    longer, shorter = np.maximum(width, height), np.minimum(width, height)
+    small = (_LATTICE_PX * longer <= largest_px) & (area >= _MIN_PIXELS)
+    small &= (area >= _MIN_FULL * longer * shorter) & (shorter >= _MIN_ASPECT * longer)
+    which = np.nonzero(small)[0]
+    which = which[np.argsort(-area[which], kind="stable")][:_MOST_PATCHES]
+    octave = np.ceil(np.log2(np.maximum(_LATTICE_PX * longer[which] / (_STEP * _PATCH), 1.0)))
+    down = np.array([0, first])
+    low, high = _LATTICE_PX * (low[which] + down), _LATTICE_PX * (high[which] + down + 1) - 1
+    return _Patches(low, high, 1 << octave.astype(np.int64))
+
+
+def _areas(at: Ints, starts: Ints, ends: Ints) -> Floats:
+    """Pixels (n,) inside borders, and on them, by Pick's theorem; holes count."""
+    after = np.arange(1, len(at) + 1)
+    after[ends - 1] = starts
+    twice = np.add.reduceat(at[:, 0] * at[after, 1] - at[after, 0] * at[:, 1], starts)
+    return np.asarray((np.abs(twice) + ends - starts) / 2 + 1)
+
+
+def _origins(patches: _Patches) -> Ints:
+    """The first pixel (n, 2) of the square about each patch that is cut out."""
+    return (patches.low + patches.high + 1 - _SIDE_PX * patches.scale[:, None]) // 2
+
+
+def _lay_side_by_side(pixels: Bytes, patches: _Patches, sheet: Bytes, columns: int) -> None:
+    """Fill squares of a sheet, row by row, with the surroundings of patches."""
+    origins, scales = _origins(patches).tolist(), patches.scale.tolist()
+    for k, ((x, y), scale) in enumerate(zip(origins, scales, strict=True)):
+        left, top = max(x, 0), max(y, 0)
+        some = pixels[top : y + _SIDE_PX * scale, left : x + _SIDE_PX * scale]
+        height, width = -(-some.shape[0] // scale), -(-some.shape[1] // scale)
+        u = k % columns * _SIDE_PX + (left - x) // scale
+        v = k // columns * _SIDE_PX + (top - y) // scale
+        sheet[v : v + height, u : u + width] = (
+            cv2.resize(some, (width, height), interpolation=cv2.INTER_AREA) if scale > 1 else some
+        )
+
+
+def _circles_in(seen: Bytes, bit: int, patches: _Patches, columns: int, most: int) -> Floats:
+    """Circles (k, 6) of a colour in patches that are laid side by side and reduced."""
+    if len(seen) == 0:
+        return np.empty((0, 6))
+    radii = (MIN_RADIUS_PX / _STEP, float(_PATCH))
+    circles = circles_of(seen, 1 << bit, radii, _MIN_SMALL_SEEN, _MIN_SMALL_FILLED, most)
+    cell = _SIDE_PX // _STEP
+    column, row = np.maximum(circles[:, :2] // cell, 0).astype(np.int64).T
+    number = np.minimum(row * columns + np.minimum(column, columns - 1), len(patches.low) - 1)
+    scale = patches.scale[number, None]
+    circles[:, :2] -= cell * np.column_stack([column, row])
+    circles[:, :3] *= _STEP * scale
+    circles[:, :2] += _origins(patches)[number] + (_STEP * scale - 1) / 2
+    beside = np.maximum(patches.low[number] - circles[:, :2], circles[:, :2] - patches.high[number])
+    own = circles[beside.max(axis=1) <= _BESIDE * circles[:, 2]]
+    return np.column_stack([own, np.full(len(own), bit)])
+
 
 _REDUCED_WIDTH = 320
 _MIN_RADIUS, _MAX_RADIUS_SHARE = 2.5, 0.35

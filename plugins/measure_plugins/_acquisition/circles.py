@@ -13,8 +13,8 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
 from measure.compiling import compiled
-from measure.geometry.linear_kernels import cholesky, solve_factored
-from measure_plugins._acquisition.patches import borders, framed
+from measure.geometry.kernels import cholesky, solve_factored
+from measure_plugins._acquisition.candidates import borders, framed
 
 _BATCH_ANGLES = 8
 """Angles that are tested before the next check whether the share can still be reached."""

@@ -23,7 +23,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats, Ints
 from measure.compiling import compiled
 from measure.model import BallColor
-from measure.model.color import ColorRange
+from measure.model.body import ColorRange
 
 _BITS = 6
 _LEVELS = 1 << _BITS

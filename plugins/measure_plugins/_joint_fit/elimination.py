@@ -15,7 +15,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled, inlined
 from measure.limits import STUDENT_DEGREES
-from measure_plugins._joint_fit.problem import PackedOutlines
+from measure_plugins._joint_fit.outlines import PackedOutlines
 
 EFFECTS = 3
 """Number of a ball-view's random effects: bx, by, br."""

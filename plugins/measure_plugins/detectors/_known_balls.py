@@ -17,11 +17,10 @@ from measure.arrays import Bytes, Floats, stacked
 from measure.host import Settings, setting
 from measure.model import Body, Camera, Detection, Expectation, Image
 from measure.model.lens import bearing
-from measure_plugins._outline.appearance.interreflection import balls_behind, balls_nearer
-from measure_plugins._outline.appearance.model import Appearance
-from measure_plugins._outline.fitting import batch
-from measure_plugins._outline.fitting.measurement import measure_step_gain
-from measure_plugins._outline.fitting.scan import CameraImage, OutlineSearch
+from measure_plugins._outline import measurement
+from measure_plugins._outline.appearance import Appearance, balls_behind, balls_nearer
+from measure_plugins._outline.measurement import measure_step_gain
+from measure_plugins._outline.scan import CameraImage, OutlineSearch
 
 FEWER_RAYS, MIN_RAYS = 2, 16
 """Divisor of the number of rays across outlines of unknown size, and the least number."""
@@ -103,7 +102,7 @@ class KnownBalls:
             for e in expected
         ]
         radii = np.array([self._radii[e.ball] for e in expected])
-        return batch.cones_of(stacked(centers), radii, self._lens)
+        return measurement.cones_of(stacked(centers), radii, self._lens)
 
     def measured(
         self,
@@ -111,7 +110,7 @@ class KnownBalls:
         expected: Sequence[Expectation],
         cones: Floats,
         appearance: Appearance,
-    ) -> list[batch.Measured]:
+    ) -> list[measurement.Measured]:
         """With corrected edges where the distance, and so the size, is known; else without.
 
         Args:
@@ -122,7 +121,9 @@ class KnownBalls:
         sized = any(e.center_camera is not None for e in expected)
         rays = c.rays if sized else max(c.rays // FEWER_RAYS, MIN_RAYS)
         searches = self._searches(expected, cones, appearance, rays)
-        return batch.measure_balls(view, searches, GIVE_UP_SHARE * c.min_agreement, self._colors)
+        return measurement.measure_balls(
+            view, searches, GIVE_UP_SHARE * c.min_agreement, self._colors
+        )
 
     def measured_step_gains(
         self,
@@ -141,10 +142,10 @@ class KnownBalls:
 
     def _searches(
         self, expected: Sequence[Expectation], cones: Floats, appearance: Appearance, rays: int
-    ) -> list[batch.BallSearch]:
+    ) -> list[measurement.BallSearch]:
         c = self._config
         return [
-            batch.BallSearch(
+            measurement.BallSearch(
                 OutlineSearch(
                     axis=cone[:3],
                     half_angle=cone[3],

@@ -31,10 +31,10 @@ from measure_plugins.detectors._known_balls import (
 
 if TYPE_CHECKING:
     from measure_plugins._acquisition import FoundCircles
-    from measure_plugins._outline.appearance.model import Appearance
-    from measure_plugins._outline.fitting.batch import Measured
-    from measure_plugins._outline.fitting.scan import CameraImage
-    from measure_plugins._outline.self_calibration.schedule import BackgroundEstimation
+    from measure_plugins._outline.appearance import Appearance
+    from measure_plugins._outline.measurement import Measured
+    from measure_plugins._outline.scan import CameraImage
+    from measure_plugins._outline.self_calibration import BackgroundEstimation
 
 _WHOLE_MATCH = 0.75
 """Share of a ball's inside with its colour below which its score is lower: balls of two colours are
@@ -57,8 +57,8 @@ class OutlineDetector(SelfCalibratingDetector):
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         super().__init__(config, body, camera)
         from measure_plugins._acquisition.color_table import with_shade
-        from measure_plugins._outline.appearance.model import first_appearance
-        from measure_plugins._outline.self_calibration.schedule import SelfCalibration
+        from measure_plugins._outline.appearance import first_appearance
+        from measure_plugins._outline.self_calibration import SelfCalibration
         from measure_plugins.detectors._known_balls import KnownBalls
 
         c, lens = self.config, camera.intrinsics.row
@@ -108,7 +108,7 @@ class OutlineDetector(SelfCalibratingDetector):
 
     def fuse_calibration(self, states: Sequence[object]) -> None:
         """Fuse point lights, correction weight and a common tone curve over all cameras."""
-        from measure_plugins._outline.self_calibration.estimate import (
+        from measure_plugins._outline.self_calibration import (
             AppearanceEstimate,
             has_common_response,
         )
@@ -121,7 +121,7 @@ class OutlineDetector(SelfCalibratingDetector):
 
     def enter_realtime(self) -> None:
         """Estimate in a thread from now on: an estimation takes as long as dozens of pictures."""
-        from measure_plugins._outline.self_calibration.schedule import BackgroundEstimation
+        from measure_plugins._outline.self_calibration import BackgroundEstimation
 
         self._background = BackgroundEstimation()
 
@@ -144,7 +144,7 @@ class OutlineDetector(SelfCalibratingDetector):
 
     def _searched(self, image: Image, known: Collection[str]) -> list[Detection]:
         """Candidates of balls that are not `known`; each may be any ball of its colour."""
-        from measure_plugins._outline.fitting.batch import measure_circles
+        from measure_plugins._outline.measurement import measure_circles
 
         c, view = self.config, self._view(image)
         alike: dict[BallColor, list[str]] = {color: [] for color in self._colors}

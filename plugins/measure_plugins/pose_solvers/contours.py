@@ -27,8 +27,8 @@ from measure.model import BallPosition, Body, Camera, Detection, Intrinsics, Mot
 from measure.model.observations import stacked_detections, stacked_positions
 
 if TYPE_CHECKING:
-    from measure_plugins._joint_fit.covariance import JointFit
-    from measure_plugins._joint_fit.problem import BallRows, PackedOutlines
+    from measure_plugins._joint_fit.outlines import BallRows, PackedOutlines
+    from measure_plugins._joint_fit.solve import JointFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def _packed(
     seen: tuple[Detection, ...], body: Body, cameras: tuple[Camera, ...]
 ) -> NamedOutlines | None:
     """Kept: the same detections (compared by identity) are solved again with a better motion."""
-    from measure_plugins._joint_fit.problem import pack
+    from measure_plugins._joint_fit.outlines import pack
 
     if not seen:
         return None
@@ -100,7 +100,7 @@ def _packed(
 @lru_cache(maxsize=64)
 def _named(balls: tuple[str, ...], body: Body, cameras: tuple[Camera, ...]) -> BallViewNames:
     """Of k ball-views; bodies and cameras compare by identity."""
-    from measure_plugins._joint_fit.problem import BallRows
+    from measure_plugins._joint_fit.outlines import BallRows
 
     used = {camera.name: camera for camera in cameras}
     names = tuple(sorted(used))
@@ -236,8 +236,7 @@ class ContoursSolver(PoseSolver):
         view_noise: Floats,
     ) -> JointFit:
         """The joint fit at `time_s`, each image at its own time where the motion is known."""
-        from measure_plugins._joint_fit.covariance import UncertainBalls, solve_outlines
-        from measure_plugins._joint_fit.solve import Start
+        from measure_plugins._joint_fit.solve import Start, UncertainBalls, solve_outlines
 
         named, packed = outlines.named, outlines.packed
         if prior is not None and outlines.instants != {time_s}:

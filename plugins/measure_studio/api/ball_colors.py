@@ -14,7 +14,7 @@ from measure import api
 from measure.arrays import Bytes
 from measure.errors import ConfigError
 from measure.model import BallColor, Body
-from measure.model.color import HUE_PERIOD
+from measure.model.body import HUE_PERIOD
 from measure.processes import Progress, quiet
 from measure.reading import parse_toml, read_text
 from measure.session import dump_toml, read_body, write_body

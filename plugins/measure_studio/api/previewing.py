@@ -25,7 +25,7 @@ from measure.arrays import Bytes, Floats
 from measure.errors import MeasureError
 from measure.host import Registry
 from measure.model import Body, Detection, Image
-from measure.model.frames import FULL
+from measure.model.observations import FULL
 from measure_studio.api.recording import CaptureRequest
 from measure_studio.capture import CameraAddress, CameraCount, Cameras
 from measure_studio.capture.sources import POLL_S, RETRY_S

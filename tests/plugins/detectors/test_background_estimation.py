@@ -9,7 +9,7 @@ import pytest
 
 from measure.simulation.catalogue import webcam_scene
 from measure.simulation.renderer import Renderer
-from measure_plugins._outline.self_calibration import schedule as calibration
+from measure_plugins._outline import self_calibration as calibration
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
 from tests.simulated.mirroring import mirrored

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.photographs import MarkedBall, camera_of, detections, look, marked_balls, outline
 from measure.model import BallColor
-from measure.model.color import ColorRange
+from measure.model.body import ColorRange
 
 
 @pytest.fixture(scope="module")

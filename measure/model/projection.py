@@ -6,9 +6,8 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.model.camera import MIN_DEPTH_MM
+from measure.model.camera_rows import MIN_DEPTH_MM, RigRows
 from measure.model.lens import by_lens, distort_point, distortion_slopes, ideal_point
-from measure.model.rig import RigRows
 
 
 @compiled

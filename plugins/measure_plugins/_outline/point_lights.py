@@ -17,26 +17,22 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
 from measure.geometry.covariance import MAD_TO_SD
-from measure_plugins._outline.appearance.model import Appearance
-from measure_plugins._outline.appearance.point_lights import (
+from measure_plugins._outline.appearance import Appearance, split_light
+from measure_plugins._outline.edges import sampled_light
+from measure_plugins._outline.rays import STEPS, RaySet
+from measure_plugins._outline.reflectance import (
+    AXIAL,
+    RADIAL,
     REFERENCE_MM,
+    REWEIGHTINGS,
+    UNIFORM,
+    RadialTables,
     lights_about,
     no_point_lights,
     shade_by_lights,
-)
-from measure_plugins._outline.appearance.radial_basis import RadialTables
-from measure_plugins._outline.appearance.render import split_light
-from measure_plugins._outline.appearance.shading import (
-    AXIAL,
-    RADIAL,
-    REWEIGHTINGS,
-    UNIFORM,
     some_clear,
 )
-from measure_plugins._outline.fitting.edges import sampled_light
-from measure_plugins._outline.sampling.rays import STEPS, RaySet
-from measure_plugins._outline.self_calibration.patch import BallPatch
-from measure_plugins._outline.self_calibration.response_and_blur import misfits
+from measure_plugins._outline.response import BallPatch, misfits
 
 _LIGHT_COUNT = 200
 _LIGHT_DISTANCE_MM = 1000.0

@@ -1,27 +1,125 @@
-"""Tone curve, blur and surface, by least squares of predicted pictures against the real ones.
+"""A camera's tone curve and blur, and the surface of balls, by pictures of the balls.
 
 The picture across an outline is predicted and its outline moved to fit best. The residuals then do
-not depend on where the outline is, but on tone curve, blur and surface: no ground truth is needed.
-See docs/explanation/outline.md, formula 18.
+not depend on where the outline is, but on tone curve, blur and surface, which are fitted by least
+squares: no ground truth is needed. See docs/explanation/outline.md, formula 18.
+
+Glossy balls show highlights of point lights, matt ones do not. Light from a dielectric is its body
+colour times one amount plus the lights' colour times another (Shafer 1985, the dichromatic
+reflection model). On a coloured ball the two are separable.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.compiling import compiled
-from measure_plugins._outline.appearance.model import BENDS, GLOSSY, MATT, Appearance
-from measure_plugins._outline.appearance.point_lights import no_point_lights
-from measure_plugins._outline.appearance.shading import REWEIGHTINGS
-from measure_plugins._outline.fitting.edges import LATER_STEPS, compare
-from measure_plugins._outline.sampling.edge_crossing import clipped
-from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED, Statuses
-from measure_plugins._outline.self_calibration.patch import BallPatch, prediction_inputs
-from measure_plugins._outline.self_calibration.specularity import highlights
+from measure_plugins._outline.appearance import BENDS, GLOSSY, MATT, Ambient, Appearance
+from measure_plugins._outline.edges import LATER_STEPS, PredictionInputs, compare
+from measure_plugins._outline.rays import CLEAR, OCCLUDED, TOGETHER, RaySet, Statuses, clipped
+from measure_plugins._outline.reflectance import (
+    REWEIGHTINGS,
+    lights_about,
+    no_point_lights,
+    shade_by_lights,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class BallPatch:
+    """The part of a picture that shows a ball, with the rays across its outline."""
+
+    pixels: Bytes  # (h, w, 3) the part of the picture
+    rays: RaySet  # n rays across the outline as found, in px of that part
+    half_angle: float  # of the cone, rad
+    scale: float  # px per rad
+    frame: Floats  # (3, 3) about the axis, see `rays.frame_about`
+    behind: Floats  # see `behind.ball_reflection_shares`
+    distance: float  # of the ball, mm
+
+    def own_rays(self) -> RaySet:
+        """Its rays with a copy of their status, which sampling changes."""
+        return self.rays._replace(status=self.rays.status.copy())
+
+
+def prediction_inputs(patch: BallPatch, appearance: Appearance) -> PredictionInputs:
+    """Inputs of a prediction by an appearance along all rays."""
+    tables = appearance.tables(patch.half_angle * patch.scale, patch.half_angle)
+    point_lights = lights_about(appearance.point_lights, patch.frame, patch.distance)
+    lit = shade_by_lights(tables.diffuse, tables.fresnel_loss[0], patch.rays.around, point_lights)
+    ambient = Ambient(lit, patch.behind)
+    return PredictionInputs(
+        patch.pixels, appearance.table, appearance.encoding, patch.own_rays(), tables, ambient
+    )
+
+
+def grouped_inputs(patch: BallPatch, appearance: Appearance) -> PredictionInputs:
+    """The same with the ambient light between rays that are predicted together."""
+    inputs = prediction_inputs(patch, appearance)
+    between = [0.5 * (some[:, ::TOGETHER] + some[:, 1::TOGETHER]) for some in inputs.ambient]
+    return inputs._replace(ambient=Ambient(*map(np.ascontiguousarray, between)))
+
+
+_INNER_RADIUS = 0.93
+"""Share of the outline's radius: pixels further out are blurred with the background."""
+_MIN_PIXELS = 50
+_HIGHLIGHT_QUANTILE = 0.995
+"""Surface reflection above this quantile is a highlight: noise alone exceeds it on fewer pixels."""
+_LIT_QUANTILE = 0.9  # Quantile of body reflection used as that of the lit side
+_MIN_SATURATION = 0.3
+"""Least difference of the strongest and the weakest channel of a body colour, of maximum 1."""
+
+
+def highlights(balls: Sequence[tuple[Bytes, Floats, Bools]], table: Floats) -> float:
+    """Highlights of the median ball, as a share of the body reflection of its lit side.
+
+    Args:
+        balls: of each, the pixels (h, w, 3) of its part of the picture, its outline (n, 2) in px
+            of that part, in order, and whether the way is clear along each of these n rays.
+        table: (256,) light of each picture value.
+
+    Returns:
+        The share; NaN if all balls are white, too small or mostly occluded.
+    """
+    shares = [_highlight_share(table[_inside(*ball)]) for ball in balls]
+    known = [share for share in shares if not np.isnan(share)]
+    return float(np.median(known)) if known else float("nan")
+
+
+def _inside(pixels: Bytes, outline: Floats, clear: Bools) -> Bytes:
+    """Pixels (k, 3) inside the outline, along clear rays."""
+    center = outline.mean(axis=0)
+    radii, angles = _polar(outline - center)
+    order = np.argsort(angles)
+    v, u = np.indices(pixels.shape[:2]).reshape(2, -1)
+    off, angle = _polar(np.stack([u, v], axis=1) - center)
+    ray = order[np.searchsorted(angles[order], angle) % len(order)]
+    return np.asarray(pixels.reshape(-1, 3)[(off < _INNER_RADIUS * radii[ray]) & clear[ray]])
+
+
+def _polar(points: Floats) -> tuple[Floats, Floats]:
+    """Radii and angles (n,) of points (n, 2)."""
+    return np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
+
+
+def _highlight_share(light: Floats) -> float:
+    """The same of light (k, 3) from one ball; NaN if it is too small or white."""
+    if len(light) < _MIN_PIXELS:
+        return float("nan")
+    own = np.median(light, axis=0)
+    own = own / max(float(own.max()), 1e-9)
+    strong, weak = int(np.argmax(own)), int(np.argmin(own))
+    if own[strong] - own[weak] < _MIN_SATURATION:
+        return float("nan")
+    amount = (light[:, strong] - light[:, weak]) / (own[strong] - own[weak])
+    grey = light[:, weak] - amount * own[weak]
+    brightest, typical = np.quantile(grey, [_HIGHLIGHT_QUANTILE, 0.5])
+    return float((brightest - typical) / max(float(np.quantile(amount, _LIT_QUANTILE)), 1e-9))
+
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Number of steps compared: both sides of the edge."""
@@ -85,7 +183,7 @@ def refined_bends(patches: Sequence[BallPatch], start: Appearance) -> Appearance
 
 def residual_ratio(one: Appearance, other: Appearance, patches: Sequence[BallPatch]) -> float:
     """Mean square residual of one appearance per that of another: geometric mean over patches."""
-    return _share(patches, one, other) ** 2
+    return _residual_share(patches, one, other) ** 2
 
 
 def unclipped_patches(patches: Sequence[BallPatch]) -> list[BallPatch]:
@@ -149,13 +247,13 @@ def _of_either_surface(
     """
     glossy, matt = replace(glossy, index=GLOSSY), replace(matt, index=MATT)
     glossy = _refined(patches, glossy, prior_sd)
-    if _share(patches, glossy, matt) < bounds[0]:
+    if _residual_share(patches, glossy, matt) < bounds[0]:
         return glossy
     matt = _refined(patches, matt, prior_sd)
-    return matt if _share(patches, glossy, matt) > bounds[1] else glossy
+    return matt if _residual_share(patches, glossy, matt) > bounds[1] else glossy
 
 
-def _share(patches: Sequence[BallPatch], one: Appearance, other: Appearance) -> float:
+def _residual_share(patches: Sequence[BallPatch], one: Appearance, other: Appearance) -> float:
     """RMS residual of one appearance per that of another: geometric mean over the patches."""
     return float(np.exp(np.mean(np.log(misfits(patches, one) / misfits(patches, other)))))
 

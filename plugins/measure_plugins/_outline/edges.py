@@ -11,27 +11,31 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Reals, Singles
 from measure.compiling import compiled, folded
-from measure_plugins._outline.appearance.radial_basis import RadialTables
-from measure_plugins._outline.appearance.render import FIT_LAST_PX, Ambient, predict_light
-from measure_plugins._outline.appearance.sensor import CHROMA_REACH, encode, read_off
-from measure_plugins._outline.sampling.edge_crossing import (
-    HIGHLIGHT_PX,
-    crossings,
-    in_highlights,
-    levels,
-    project,
-    uncertainty,
+from measure_plugins._outline.appearance import (
+    CHROMA_REACH,
+    FIT_LAST_PX,
+    Ambient,
+    encode,
+    predict_light,
+    read_off,
 )
-from measure_plugins._outline.sampling.rays import (
+from measure_plugins._outline.rays import (
     CLEAR,
+    HIGHLIGHT_PX,
     STEPS,
     TOGETHER,
     RaySet,
     Statuses,
+    crossings,
+    in_highlights,
+    levels,
     middle_angles,
+    project,
     sample,
     together,
+    uncertainty,
 )
+from measure_plugins._outline.reflectance import RadialTables
 
 INSIDE_PX = (-7.0, -3.0)
 """Where the colour inside is taken, px along the normal: inside the blurred edge, and near it."""

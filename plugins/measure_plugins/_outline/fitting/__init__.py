@@ -1,1 +1,0 @@
-"""From edges along rays to an outline: bias correction, robust cone fit and covariance."""

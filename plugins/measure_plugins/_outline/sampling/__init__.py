@@ -1,1 +1,0 @@
-"""Reading a picture along rays across an outline: where rays lie, pixels between pixels, edges."""

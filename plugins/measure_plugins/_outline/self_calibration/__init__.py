@@ -1,1 +1,0 @@
-"""Estimating a camera's response curve, blur and lights from the balls it sees."""
