@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
-from measure_studio.capture.mjpeg_server import CameraHandler, part_head, serve_cameras
+from measure_studio.capture.mjpeg import CameraHandler, part_head, serve_cameras
 
 
 @dataclass

@@ -16,7 +16,7 @@ from benchmarks.faults.cameras import FAULTS, meet
 from benchmarks.faults.hostile_camera import LOGIN, TOKEN, Fault, HostileCamera, hostile
 from measure.errors import CaptureError
 from measure_studio.capture import CameraAddress, Cameras
-from measure_studio.capture.web_address import shown
+from measure_studio.capture.sources import shown
 from tests.studio.capture.test_cameras import waited
 
 SECRETS = (LOGIN, LOGIN.partition(":")[2], TOKEN)
@@ -35,8 +35,8 @@ def pictures():
 def met(pictures):
     """Every fault, all at once."""
     with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(len(FAULTS)) as pool:
-        patch.setattr("measure_studio.capture.http_stream.PATIENCE_S", LIMIT_S)
-        patch.setattr("measure_studio.capture.mjpeg_http._MAX_PICTURE_S", LIMIT_S)
+        patch.setattr("measure_studio.capture.mjpeg.PATIENCE_S", LIMIT_S)
+        patch.setattr("measure_studio.capture.mjpeg._MAX_PICTURE_S", LIMIT_S)
         found = list(pool.map(lambda fault: meet(fault, pictures, 1.5), FAULTS))
     return dict(zip((fault.name for fault in FAULTS), found, strict=True))
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from measure.errors import CaptureError, MeasureError
 from measure.model import Image
 from measure_studio.capture import CameraAddress, Cameras, FoundCamera, Mode, find_devices
-from measure_studio.capture.web_address import shown
+from measure_studio.capture.sources import shown
 
 _LISTEN_S = 2.0
 

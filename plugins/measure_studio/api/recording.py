@@ -16,7 +16,7 @@ from measure.model import Body, Camera, Image
 from measure.processes import until_stopped
 from measure.session import Calibration, check_bodies, read_body, read_calibration
 from measure_studio import capture
-from measure_studio.capture.controls import ControlRecord, watched
+from measure_studio.capture.devices import ControlRecord, watched
 from measure_studio.capture.sources import POLL_S, Source
 
 SESSION = "session.toml"  # By which a recording's folder is known

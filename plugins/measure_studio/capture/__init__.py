@@ -1,12 +1,17 @@
 """Cameras that deliver pictures now: where they are, their clocks, recording, frame sets."""
 
 from measure_studio.capture.addresses import CameraAddress, parse_cameras
-from measure_studio.capture.cameras import CameraCount, Cameras
-from measure_studio.capture.controls import Control, DeviceControls
-from measure_studio.capture.devices import FoundCamera, Mode, bus_notes, find_devices
+from measure_studio.capture.cameras import CameraCount, Cameras, Outage
+from measure_studio.capture.devices import (
+    Control,
+    DeviceControls,
+    FoundCamera,
+    Mode,
+    bus_notes,
+    find_devices,
+)
 from measure_studio.capture.gathering import Gathering
-from measure_studio.capture.mjpeg_server import Feed, picture_part, serve_cameras
-from measure_studio.capture.outages import Outage
+from measure_studio.capture.mjpeg import Feed, picture_part, serve_cameras
 from measure_studio.capture.recorder import Recorder, check_names, jpeg_of
 
 __all__ = [

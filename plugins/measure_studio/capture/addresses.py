@@ -12,10 +12,8 @@ from urllib.parse import urlsplit
 from measure.bags import is_bag, split_topic
 from measure.errors import CaptureError, ConfigError
 from measure.session import check_name
-from measure_studio.capture.mjpeg_http import HttpSource
-from measure_studio.capture.sources import Source
-from measure_studio.capture.video_sources import FileSource, device_source, rtsp_source
-from measure_studio.capture.web_address import shown
+from measure_studio.capture.mjpeg import HttpSource
+from measure_studio.capture.sources import FileSource, Source, device_source, rtsp_source, shown
 
 _RANGE = re.compile(r"\[(\d+)-(\d+)\]")
 _MOST_IN_RANGE = 16  # Twice as many cameras as a rig has

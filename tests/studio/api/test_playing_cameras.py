@@ -19,7 +19,7 @@ from measure.errors import CaptureError, ConfigError
 from measure.session import dump_toml
 from measure_studio import api as studio_api
 from measure_studio.api import PlayOptions, play_cameras
-from measure_studio.capture.mjpeg_http import HttpSource
+from measure_studio.capture.mjpeg import HttpSource
 from tests.session import videos
 
 TIMES_S = {"cam 0": [10.0, 10.05, 10.1, 10.2], "käm#1": [10.02, 10.07, 10.12, 10.22]}

@@ -19,7 +19,7 @@ from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
 from measure_studio import api as studio_api
 from measure_studio.api import rendered_cameras as demo
 from measure_studio.api.held_boards import held_poses
-from measure_studio.capture.mjpeg_http import HttpSource
+from measure_studio.capture.mjpeg import HttpSource
 
 
 def gray(jpeg):

@@ -6,8 +6,8 @@ import pytest
 
 from measure.errors import CaptureError, ConfigError
 from measure_studio.capture import CameraAddress, parse_cameras
-from measure_studio.capture.mjpeg_http import HttpSource
-from measure_studio.capture.video_sources import AvSource, FileSource
+from measure_studio.capture.mjpeg import HttpSource
+from measure_studio.capture.sources import AvSource, FileSource
 
 
 def test_names_and_addresses():

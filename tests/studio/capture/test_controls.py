@@ -21,7 +21,7 @@ from linuxpy.video.device import (
 from measure.cli import main
 from measure.errors import CaptureError
 from measure_studio.capture import DeviceControls, bus_notes, find_devices
-from measure_studio.capture.controls import watched
+from measure_studio.capture.devices import watched
 from measure_studio.capture.sources import Shot, Source
 from tests.camera_server import ServedCamera, serving
 from tests.session.conftest import jpeg
@@ -95,7 +95,7 @@ def test_a_control_that_does_not_take_its_value_is_told(webcam):
 
 def test_locking_keeps_what_automatic_control_has_found(webcam, monkeypatch):
     """And sets it again when the camera, unplugged meanwhile, has forgotten it."""
-    monkeypatch.setattr("measure_studio.capture.controls._READ_EVERY_S", 0.005)
+    monkeypatch.setattr("measure_studio.capture.devices._READ_EVERY_S", 0.005)
     device, path = webcam
     controls = DeviceControls(path, {"gain": "10"})
     controls.apply()
@@ -109,7 +109,7 @@ def test_locking_keeps_what_automatic_control_has_found(webcam, monkeypatch):
 
 
 def test_an_exposure_that_changes_is_named(webcam, monkeypatch):
-    monkeypatch.setattr("measure_studio.capture.controls._LOOK_EVERY_S", 0.01)
+    monkeypatch.setattr("measure_studio.capture.devices._LOOK_EVERY_S", 0.01)
     device, path = webcam
     with watched({"cam0": DeviceControls(path)}, lock=False) as still:
         time.sleep(0.05)
@@ -199,7 +199,7 @@ def test_controls_are_set_by_a_command_and_written_into_the_session(
     monkeypatch.setattr(
         "measure_studio.capture.addresses.CameraAddress.is_device", property(lambda self: True)
     )
-    monkeypatch.setattr("measure_studio.capture.controls._READ_EVERY_S", 0.005)
+    monkeypatch.setattr("measure_studio.capture.devices._READ_EVERY_S", 0.005)
     _, path = webcam
     cameras = [f"cam0={path}", f"cam1={path}", "--seconds", "0.4"]
     out = tmp_path / "kept"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure_studio.capture.device_clock import DeviceClock
+from measure_studio.capture.cameras import DeviceClock
 
 
 def off_s(taken_s, arrived_s, device_s):

@@ -12,9 +12,8 @@ from contextlib import closing
 import pytest
 
 from measure.errors import CaptureError
-from measure_studio.capture import login
-from measure_studio.capture.login import answer_to
-from measure_studio.capture.mjpeg_http import HttpSource
+from measure_studio.capture import mjpeg
+from measure_studio.capture.mjpeg import HttpSource, answer_to
 from tests.camera_server import ServedCamera, serving
 
 PICTURE = b"\xff\xd8picture\xff\xd9"
@@ -61,7 +60,7 @@ RFC_7616 = (
 )
 def test_digest_answers_are_those_of_the_standards(challenge, password, response, monkeypatch):
     nonce = "f2/wE4q74E6zIJEtWaHKaf5wv/H5QzzpXusqGemxURZJ"
-    monkeypatch.setattr(login.secrets, "token_hex", lambda _: nonce)
+    monkeypatch.setattr(mjpeg.secrets, "token_hex", lambda _: nonce)
     said = answer_to(['Basic realm="b"', challenge], ("Mufasa", password), "/dir/index.html")
     assert f'response="{response}"' in said
 

@@ -9,7 +9,7 @@ from itertools import islice, pairwise
 import pytest
 
 from measure.errors import CaptureError
-from measure_studio.capture.mjpeg_http import HttpSource, parts_of
+from measure_studio.capture.mjpeg import HttpSource, parts_of
 from tests.camera_server import ServedCamera, serving
 
 ONE = b"\xff\xd8 one \r\n\n more lines, \xff\xda and a thumbnail's end \xff\xd9 \xff\xd9"

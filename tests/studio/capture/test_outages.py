@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from measure_studio.capture.outages import OutageWatch
+from measure_studio.capture.cameras import OutageWatch
 
 PERIOD_S = 1 / 15
 EPOCH_S = 1.7e9

@@ -11,7 +11,7 @@ import pytest
 
 from measure.errors import CaptureError
 from measure_studio.capture import CameraAddress, Cameras, DeviceControls
-from measure_studio.capture.video_sources import FileSource, device_source, rtsp_source
+from measure_studio.capture.sources import FileSource, device_source, rtsp_source
 
 SIZE = (64, 48)
 
