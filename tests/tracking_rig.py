@@ -6,7 +6,8 @@ import numpy as np
 
 from measure.host import Detector, Settings
 from measure.measuring import Pipeline, Stages
-from measure.measuring.tracking.predictive import PredictiveConfig, PredictiveTracker
+from measure.measuring.tracking.predictive import PredictiveTracker
+from measure.measuring.tracking.settings import PredictiveConfig
 from measure.model import FrameSet, Image
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
 from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator

@@ -46,8 +46,7 @@ from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
-from measure.measuring.smeared_images import SmearedImages
-from measure.measuring.woven_images import BallSteps, WovenImages
+from measure.measuring.image_faults import BallSteps, SmearedImages, WovenImages
 from measure.model import Detection
 from measure.processes import Progress, quiet
 from measure.session import Session, holds_jpeg, open_session, read_calibration, session_lacks

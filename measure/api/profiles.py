@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from measure.errors import ConfigError
 from measure.host import Detector, PoseSolver, Registry, Tracker, Triangulator
 from measure.measuring import Pipeline, Profile, Stages
-from measure.measuring.profile import Stage
+from measure.measuring.pipeline import Stage
 from measure.model import Body, Camera
 from measure.reading import parse_toml
 from measure.session import load_toml

@@ -18,7 +18,7 @@ from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Measurement, Profile
 from measure.measuring.kept_rig import Keep
-from measure.measuring.profile import Stage
+from measure.measuring.pipeline import Stage
 from measure.model import Body, FrameSet
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress, quiet

@@ -25,8 +25,8 @@ from measure.geometry import RigidTransform, chi_square_quantile, squared_mahala
 from measure.limits import CLEAR_RATIO
 from measure.measuring import Measurement
 from measure.measuring.kept_rig import HOLDING, CameraChange, KeptRig
-from measure.measuring.tracking.predictive.motion_filter import MotionState
-from measure.measuring.tracking.predictive.search_windows import predict_windows
+from measure.measuring.tracking.motion_filter import MotionState
+from measure.measuring.tracking.search_windows import predict_windows
 from measure.model import BallView, Body, Camera, Detection, Expectation, FrameSet, Motion, Rig
 from measure.model.observations import Reason, State
 

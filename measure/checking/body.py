@@ -19,8 +19,8 @@ from measure.estimation.body_layout import looks_mirrored, thickness
 from measure.geometry.covariance import MAD_TO_SD
 from measure.geometry.transform import align_points
 from measure.limits import SIGNIFICANT_SIGMAS
-from measure.measuring.association.candidates import by_ball, intersect_rays
-from measure.measuring.ball_radii import OutlineGrowth
+from measure.measuring.body_size import OutlineGrowth
+from measure.measuring.pose_hypotheses import by_ball, intersect_rays
 from measure.model import Body, Camera, Detection
 
 _MAX_PLANAR_MM = 1.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.checking.finding import Finding, Level
-from measure.measuring.ball_radii import OutlineGrowth, outline_growth, seen_balls
+from measure.measuring.body_size import OutlineGrowth, outline_growth, seen_balls
 from measure.measuring.measurement import Measurement, Status
 from measure.model import Body, Camera
 

@@ -17,9 +17,13 @@ from measure.checking.causes import ALL, Cause, Word
 from measure.checking.finding import Finding, Level
 from measure.checking.search import SearchSample
 from measure.limits import CLEAR_RATIO, GAP_PERIODS, MOST_LISTED
-from measure.measuring.duplicate_images import DuplicateImages
-from measure.measuring.smeared_images import SHARP_CAMERAS, Smear, smear_in
-from measure.measuring.woven_images import woven_cameras
+from measure.measuring.image_faults import (
+    SHARP_CAMERAS,
+    DuplicateImages,
+    Smear,
+    smear_in,
+    woven_cameras,
+)
 from measure.model import Detection, FrameSet
 from measure.model.observations import FULL
 from measure.session.timestamps import StampErrors

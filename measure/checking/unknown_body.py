@@ -19,7 +19,7 @@ from measure.errors import DegenerateGeometryError, SessionError
 from measure.estimation.body_layout import looks_mirrored
 from measure.geometry.covariance import MAD_TO_SD
 from measure.limits import SIGNIFICANT_SIGMAS
-from measure.measuring.association.candidates import by_ball, intersect_rays
+from measure.measuring.pose_hypotheses import by_ball, intersect_rays
 from measure.model import Ball, BallColor, Body, Camera, Detection
 
 PALETTES = (("red", "yellow", "green", "blue", "white"), ("orange", "cyan", "purple", "pink"))

@@ -15,7 +15,7 @@ from itertools import islice
 from measure.errors import MeasureError
 from measure.estimation.lateral_color import with_lateral_color
 from measure.host import Detector, SelfCalibratingDetector
-from measure.measuring import ball_radii
+from measure.measuring import body_size
 from measure.measuring.measurement import Measurement
 from measure.measuring.pipeline import Pipeline
 from measure.model import Body, Camera, FrameSet
@@ -45,7 +45,7 @@ def calibrated(
 
     Where the solver fits outlines, the lateral colour of the cameras is looked for before, and then
     the outlines are compared with the balls' radii: the result is a pipeline for cameras and a body
-    with what is known of these. See `lateral_color` and `ball_radii`.
+    with what is known of these. See `lateral_color` and `body_size`.
 
     Args:
         pipeline: of detectors as they were built.
@@ -70,14 +70,14 @@ def calibrated(
         burn_in(_with(fresh, fresh.stages.detectors), frame_sets())
         return fresh.stages.detectors
 
-    def growth(body: Body) -> ball_radii.OutlineGrowth:
+    def growth(body: Body) -> body_size.OutlineGrowth:
         known[body] = detectors_for(body)
         again = islice(frame_sets(), _FRAME_SETS_FOR_RADII)
         looked.append(_with(build(body, cameras), known[body]))
         measured = _measured(looked[-1], again)
-        return ball_radii.outline_growth(ball_radii.seen_balls(measured), body, cameras)
+        return body_size.outline_growth(body_size.seen_balls(measured), body, cameras)
 
-    body, contradict = ball_radii.with_estimated_radii(given, growth)
+    body, contradict = body_size.with_estimated_radii(given, growth)
     detectors = detectors_for(body) if contradict else known[given]
     final = _with(build(body, cameras), detectors, pipeline.stages.smoothing)
     final.judge_pictures_as(looked[-1])

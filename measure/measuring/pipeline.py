@@ -1,27 +1,68 @@
-"""The way of an image: detector -> tracker -> triangulator -> pose solver."""
+"""The way of an image, by a profile's plugins: detector, tracker, triangulator, pose solver."""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from measure.arrays import Floats
 from measure.errors import MeasureError
 from measure.host import Detector, Plugin, PoseSolver, Tracker, Triangulator
 from measure.measuring import plugin_calls
-from measure.measuring.body_scale import ScaleMonitor
-from measure.measuring.duplicate_images import DuplicateImages, NewImages
+from measure.measuring.body_size import ScaleMonitor
+from measure.measuring.image_faults import (
+    BallSteps,
+    DuplicateImages,
+    NewImages,
+    SmearedImages,
+    WovenImages,
+)
 from measure.measuring.kept_rig import Keeper, KeptRig
-from measure.measuring.measurement import Draft, Measurement, Status
+from measure.measuring.measurement import Draft, FrameSetObservations, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_surrounding_poses
-from measure.measuring.smeared_images import SmearedImages
-from measure.measuring.time_alignment import FrameSetObservations
-from measure.measuring.woven_images import BallSteps, WovenImages
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, FrameSet, Motion, Pose
 from measure.processes import usable_cores
+
+Stage = Literal["detector", "triangulator", "solver", "tracking"]
+
+
+class Profile(BaseModel):
+    """A named choice of stages; `measure/profiles/*.toml` hold those that come with the program."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str  # how a user selects it
+    detector: str  # name of the detector plugin
+    triangulator: str  # name of the triangulator plugin
+    solver: str  # name of the pose-solver plugin
+    tracking: str  # "frame-update" (the paper's section II.D), "predictive" or "memoryless"
+    # whether each image counts at its own time (else all images of a frame set count at one
+    # instant).
+    per_image_timestamps: bool
+    # whether poses wait for later ones: each is solved again with the motion of a spline through
+    # the poses before and after it.
+    smoothing: bool
+    # whether, after a search of whole frames, the balls are measured once more.
+    remeasure_after_search: bool = True
+    # by stage name, the settings that differ from the defaults.
+    settings: dict[Stage, dict[str, Any]] = Field(default_factory=dict)
+
+    def with_stage(self, stage: Stage, name: str) -> Profile:
+        """The same profile with another plugin for one stage, at its default settings."""
+        settings = {key: value for key, value in self.settings.items() if key != stage}
+        return self.model_copy(update={stage: name, "settings": settings})
+
+    def with_setting(self, stage: Stage, name: str, value: Any) -> Profile:
+        """The same profile with one setting changed."""
+        settings = {key: dict(values) for key, values in self.settings.items()}
+        settings.setdefault(stage, {})[name] = value
+        return self.model_copy(update={"settings": settings})
+
 
 _SAME_BALL = 0.6
 """A circle nearer to a ball than this share of its radius, and of about its size, is that ball."""

@@ -21,8 +21,8 @@ from measure.checking.pictures import gaps_alone, repeated_causes, same_pictures
 from measure.checking.sightings import MOST_INSTANTS
 from measure.geometry import RigidTransform
 from measure.limits import MAX_PAUSE_S
-from measure.measuring.ball_radii import outline_growth
-from measure.measuring.duplicate_images import left_out
+from measure.measuring.body_size import outline_growth
+from measure.measuring.image_faults import left_out
 from measure.model import Body, Camera, Detection
 from measure.model.observations import Reason, State
 from measure.results.tables import PLACE, integers, matrices, numbers

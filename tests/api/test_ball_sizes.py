@@ -11,7 +11,7 @@ from measure.api import load_profile
 from measure.api.measuring import calibrated_pipeline
 from measure.checking.body import size_causes
 from measure.host import Registry
-from measure.measuring.ball_radii import outline_growth, seen_balls
+from measure.measuring.body_size import outline_growth, seen_balls
 from measure.session import open_session, read_trajectory
 from tests.simulated.sessions import part_of
 

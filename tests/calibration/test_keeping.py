@@ -10,7 +10,8 @@ import pytest
 from measure.calibration.keeping import CameraKeeper
 from measure.geometry import RigidTransform
 from measure.measuring import Pipeline, Stages
-from measure.measuring.tracking.predictive import PredictiveConfig, PredictiveTracker
+from measure.measuring.tracking.predictive import PredictiveTracker
+from measure.measuring.tracking.settings import PredictiveConfig
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
 from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator
 from tests.scenes import FOUR, RAVEN, TARGET, ring, strayed

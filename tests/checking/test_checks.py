@@ -22,8 +22,13 @@ from measure.checking.pictures import burst_causes, rate_causes, step_causes, wi
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.smeared_images import SmearedImages, smear_in
-from measure.measuring.woven_images import BallSteps, WovenImages, woven_cameras
+from measure.measuring.image_faults import (
+    BallSteps,
+    SmearedImages,
+    WovenImages,
+    smear_in,
+    woven_cameras,
+)
 from measure.model import Detection, FrameSet, Image
 from tests.scenes import RAVEN, TARGET, moved, ring, see
 

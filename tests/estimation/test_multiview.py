@@ -12,7 +12,7 @@ from measure.errors import DegenerateGeometryError
 from measure.estimation.multiview import PointObservations, calibration_noise, fit_point
 from measure.estimation.pose_fit import fit_pose
 from measure.geometry import RigidTransform, propagate
-from measure.measuring.time_alignment import FrameSetObservations
+from measure.measuring.measurement import FrameSetObservations
 from measure.model import BallView, Camera, Detection, Motion, Pose, Rig
 from measure.model.observations import State
 from tests.scenes import RAVEN, TARGET, ring, see

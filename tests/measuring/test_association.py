@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from measure.geometry import RigidTransform
-from measure.measuring.association import associate, hypotheses
+from measure.measuring import pose_hypotheses
+from measure.measuring.association import associate
 from measure.model import Ball, BallColor, Body, Detection
 from tests.scenes import FOUR, RAVEN, TARGET, a_pose, ring, see
 
@@ -188,7 +189,7 @@ def test_triangles_are_put_on_others_by_least_squares():
     source = rng.normal(0, 50, (3, 3))
     turned = source @ Rotation.random(30, random_state=rng).as_matrix().swapaxes(1, 2)
     target = turned + rng.normal(0, 15, (30, 3, 3)) + TARGET
-    found = hypotheses.align_triangles(target, source)
+    found = pose_hypotheses.align_triangles(target, source)
     rotation, translation = found.rotation, found.translation
     middle = target.mean(axis=1)
     best = [

@@ -13,7 +13,8 @@ from measure.geometry import RigidTransform
 from measure.host import Loaded, Registry, SelfCalibratingDetector
 from measure.host.registry import Distribution
 from measure.measuring import Pipeline, Stages, burn_in
-from measure.measuring.tracking.predictive import PredictiveConfig, PredictiveTracker
+from measure.measuring.tracking.predictive import PredictiveTracker
+from measure.measuring.tracking.settings import PredictiveConfig
 from measure.session import open_session
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
 from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator

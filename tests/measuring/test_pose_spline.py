@@ -9,9 +9,8 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
-from measure.measuring.measurement import Draft
+from measure.measuring.measurement import Draft, FrameSetObservations
 from measure.measuring.pose_spline import REACH, motion_at, with_surrounding_poses
-from measure.measuring.time_alignment import FrameSetObservations
 from measure.model import Pose
 from tests.scenes import RAVEN, TARGET, moved, ring
 from tests.tracking_rig import run

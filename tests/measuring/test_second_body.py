@@ -11,7 +11,7 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.measuring import Status
 from measure.measuring.association import associate
-from measure.measuring.association.hypotheses import lie_on_body
+from measure.measuring.pose_hypotheses import lie_on_body
 from tests.hidden_scenes import balls_of, lone_balls, seen, two_bodies
 from tests.scenes import RAVEN, TARGET, a_pose, ring
 from tests.tracking_rig import run

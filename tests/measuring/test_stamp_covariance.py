@@ -6,7 +6,7 @@ import numpy as np
 
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.time_alignment import FrameSetObservations
+from measure.measuring.measurement import FrameSetObservations
 from measure.model import BallView, Motion, Pose
 from measure.model.observations import State
 from tests.scenes import RAVEN, TARGET, ring, see

@@ -9,9 +9,8 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.measuring import Status
-from measure.measuring.tracking.predictive import PredictiveConfig
-from measure.measuring.tracking.predictive.pose_checks import PoseChecks, single_view_balls
-from measure.measuring.tracking.predictive.residual_table import ResidualTable
+from measure.measuring.tracking.pose_checks import PoseChecks, ResidualTable, single_view_balls
+from measure.measuring.tracking.settings import PredictiveConfig
 from measure.model import BallView, Body, Detection, Pose
 from measure.model.observations import Reason, State
 from tests.measurements import BODY, CAMERAS, measurement

@@ -10,15 +10,12 @@ import pytest
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform, chi_square_quantile, propagate
-from measure.measuring.tracking.predictive.gating import agree_with_each_other, gate_observations
-from measure.measuring.tracking.predictive.motion_filter import (
-    Kinematics,
-    MotionState,
-    constant_velocity,
-)
-from measure.measuring.tracking.predictive.search_windows import (
+from measure.measuring.tracking.motion_filter import Kinematics, MotionState, constant_velocity
+from measure.measuring.tracking.search_windows import (
     GatedObservations,
     SearchWindows,
+    agree_with_each_other,
+    gate_observations,
     predict_windows,
 )
 from measure.model import Pose, Reason

@@ -1,13 +1,17 @@
-"""The balls' radii as their outlines show them, against those of the body file.
+"""The balls' radii, and a common factor of their distances, against those of the body file.
 
 A ball's outline is as large as its radius and distance say; the distance is known from the rays.
 What detectors learn of the balls' appearance rests on the radii that they are given, so that an
 error is partly learnt as appearance, and the outlines show only a share of it: the estimate goes on
 from there (secant method) to where outlines and radii agree.
+
+The balls' positions come from rays alone. If all lie too far apart by one factor, the scale of the
+calibration or the lengths of the body file are off; the pose, in which the body is rigid, hides it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -15,9 +19,11 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
+from measure.limits import SIGNIFICANT_SIGMAS
 from measure.measuring.measurement import Measurement
-from measure.model import Body, Camera, Detection
+from measure.model import BallPosition, Body, Camera, Detection, Pose
 from measure.model.body import COMMON_RADIUS_VARIANCE
+from measure.model.observations import stacked_positions
 
 _LEAST_VIEWS = 8  # Ball-views that tell a ball's size
 _SHARE_SHOWN = 0.5
@@ -148,3 +154,70 @@ def _posterior(body: Body, shown: OutlineGrowth) -> tuple[Floats, Floats]:
             variances = np.maximum(stated, estimated)
     known = prior @ parts.T
     return parts @ found, known - parts @ gain @ known
+
+
+_MEMORY_FRAME_SETS = 300
+
+
+class ScaleMonitor:
+    """Follows the factor from one frame set to the next, and flags poses where it is not 1.
+
+    The errors of neighbouring frame sets are alike, so the factor's standard deviation is that of
+    one frame set: it does not fall with their number.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self._body = body
+        self._weight = self._weighted = self._count = 0.0
+
+    def judged(self, measured: Measurement) -> Measurement:
+        """The measurement, flagged if the factor is not 1; frame sets come in order.
+
+        Poses with flags do not count towards the factor: their balls may be others.
+        """
+        pose = measured.pose
+        if pose is None:
+            return measured
+        if not pose.flags:
+            self._take(pose, measured.positions)
+        if not self._weight:
+            return measured
+        off, sd = self._weighted / self._weight, math.sqrt(self._count / self._weight)
+        if abs(off) <= SIGNIFICANT_SIGMAS * sd:
+            return measured
+        flag = (
+            f"the balls are {1 + off:.4f} +- {sd:.4f} times as far apart as the body file says: "
+            "the body file or the calibration is off"
+        )
+        return measured.flagged(flag)
+
+    def _take(self, pose: Pose, positions: Sequence[BallPosition]) -> None:
+        """Add one frame set to the mean, and let the older ones count a little less."""
+        found = _relative_scale(pose, positions, self._body)
+        if found is None:
+            return
+        off, variance = found
+        keep = 1 - 1 / _MEMORY_FRAME_SETS
+        self._count = keep * self._count + 1
+        self._weight = keep * self._weight + 1 / variance
+        self._weighted = keep * self._weighted + off / variance
+
+
+def _relative_scale(
+    pose: Pose, positions: Sequence[BallPosition], body: Body
+) -> tuple[float, float] | None:
+    """The scale, less 1, of the similarity from body to positions, and its variance.
+
+    Least squares with the pose's rotation (Umeyama 1991, equation 42), and first-order propagation.
+    """
+    if len(positions) < 2:
+        return None
+    centers, covariances = stacked_positions(tuple(positions))
+    arms = body.centers_of([position.ball for position in positions])
+    arms = pose.world_from_body.rotate(arms - arms.mean(axis=0))
+    total = float(np.sum(arms**2))
+    if total == 0:  # positions of one ball only
+        return None
+    by_center = arms / total
+    variance = np.einsum("ni,nij,nj->", by_center, covariances + body.center_covariance, by_center)
+    return float(np.sum(by_center * centers)) - 1, float(variance)

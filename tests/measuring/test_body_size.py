@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.measuring.ball_radii import OutlineGrowth, with_estimated_radii
+from measure.measuring.body_size import OutlineGrowth, with_estimated_radii
 
 
 def _shown(body, *growth_mm):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from measure.measuring import Status
-from measure.measuring.duplicate_images import DuplicateImages
+from measure.measuring.image_faults import DuplicateImages
 from measure.measuring.measurement import Draft
 from measure.model import FrameSet, Image
 from tests.measurements import measurement

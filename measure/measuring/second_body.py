@@ -14,14 +14,14 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.geometry import RigidTransform
-from measure.measuring.association.candidates import (
+from measure.measuring.pose_hypotheses import (
     RADIUS_SD,
     SLACK_MM,
     BallPoints,
     Candidates,
     intersect_rays,
+    lie_on_body,
 )
-from measure.measuring.association.hypotheses import lie_on_body
 from measure.model import Body, Camera
 
 _RANGE_RATIO = 1.15

@@ -3,6 +3,11 @@
 Rays of two cameras that intersect at the distance that the outlines' sizes imply give possible ball
 centres; three of them as far apart as in the body give a pose. The pose with the highest score is
 the body, unless a different pose scores nearly as high: then the result is ambiguous.
+
+A glossy table or a pane shows the body's mirror image. Of balls at p a mirror with unit normal n
+shows images at q = p - 2 ((p - c) . n) n, with c in the plane. So all p - q are parallel to n and
+all middles of p and q lie in the plane. Body and cameras are in front of the mirror and the images
+behind it, which tells the body from its image.
 """
 
 from __future__ import annotations
@@ -11,25 +16,129 @@ import contextlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Bools, Floats
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.association.candidates import BallPoints, Candidates, by_ball, intersect_rays
-from measure.measuring.association.hypotheses import (
+from measure.measuring.pose_hypotheses import (
+    SLACK_MM,
+    BallPoints,
+    Candidates,
     PoseScores,
+    by_ball,
     centers_of,
+    intersect_rays,
+    lie_on_balls,
     lie_on_body,
     poses_from_pairs,
     poses_from_triples,
     score_poses,
 )
-from measure.measuring.association.reflection import Reflection, find_reflection
-from measure.measuring.association.second_body import second_body_flags, unexplained
+from measure.measuring.second_body import second_body_flags, unexplained
 from measure.model import Body, Camera, Detection, Rig
+
+_MIRRORED_RANGE_RATIO = (
+    1.15  # Largest error, as a factor, of the distance that an outline's size implies
+)
+_MAX_POINTS_PER_BALL = 12
+_SURE_BALLS = 3  # Images of so many balls must be where the mirror shows them, if as many are seen
+
+
+@dataclass(frozen=True, eq=False)
+class Reflection:
+    """A mirror image of the body."""
+
+    normal: Floats  # (3,) of the plane, unit length, towards the body
+    distance_mm: float  # of the middle of the balls from the plane
+    detections: tuple[Detection, ...]  # candidates that lie on the images of balls
+    others: tuple[Candidates, ...]  # of every ball, the candidates that do not
+
+    def left_out_of(
+        self, detections: Mapping[str, Sequence[Detection]]
+    ) -> dict[str, list[Detection]]:
+        """All detections but those of the image, by camera name."""
+        own = {id(d) for d in self.detections}
+        return {name: [d for d in some if id(d) not in own] for name, some in detections.items()}
+
+    def __str__(self) -> str:
+        """What is in view, with the plane, and what to do."""
+        x, y, z = np.round(self.normal, 2) + 0.0
+        return (
+            f"a mirror image of the body is in view, in a plane {self.distance_mm:.0f} mm from it "
+            f"with the normal ({x:g}, {y:g}, {z:g}): a glossy table, or a pane? cover it"
+        )
+
+
+def find_reflection(
+    world_from_body: RigidTransform,
+    body: Body,
+    cameras: Sequence[Camera],
+    candidates: Sequence[Candidates],
+    sigmas: float,
+) -> Reflection | None:
+    """The mirror image of the body found, if some plane shows it there; else None.
+
+    Two balls that are located where a mirror shows them suffice, and three if three are located.
+
+    Args:
+        candidates: of every ball, those that do not lie on the body.
+        sigmas: points fit within this many standard deviations.
+    """
+    centers = world_from_body.apply(body.centers)
+    located = [
+        intersect_rays(c, sigmas, _MIRRORED_RANGE_RATIO, _MAX_POINTS_PER_BALL) for c in candidates
+    ]
+    seen = sum(len(points.points) > 0 for points in located)
+    if seen < 2:
+        return None
+    best, most = None, 0
+    for normal, offset_mm in _planes(centers, located):
+        heights = centers @ normal - offset_mm
+        images = centers - 2 * heights[:, None] * normal
+        near = sum(_is_located(i, p, sigmas) for i, p in zip(images, located, strict=True))
+        if near < min(seen, _SURE_BALLS) or np.any(heights <= 0):
+            continue
+        front = np.array([camera.center @ normal > offset_mm for camera in cameras])
+        shown = [_shown(images, body, cameras, front, some) for some in candidates]
+        views = [some.rays.cameras[own] for some, own in zip(candidates, shown, strict=True)]
+        count = sum(len(own) for own in views)
+        if count > most and sum(len(set(own.tolist())) >= 2 for own in views) >= 2:
+            both = list(zip(candidates, shown, strict=True))
+            on = (d for some, own in both for d in some.rows(np.flatnonzero(own)).detections)
+            rest = tuple(some.rows(np.flatnonzero(~own)) for some, own in both)
+            best, most = Reflection(normal, float(np.mean(heights)), tuple(on), rest), count
+    return best
+
+
+def _planes(centers: Floats, located: Sequence[BallPoints]) -> Iterator[tuple[Floats, float]]:
+    """Normals (3,) and offsets in mm of the planes between two balls and points of their kinds."""
+    for i, j in combinations(range(len(centers)), 2):
+        for one in located[i].points:
+            for other in located[j].points:
+                across = centers[i] - one + centers[j] - other
+                length = float(np.linalg.norm(across))
+                if length > 0:
+                    normal = across / length
+                    middle = (centers[i] + one + centers[j] + other) / 4
+                    yield normal, float(middle @ normal)
+
+
+def _is_located(image: Floats, points: BallPoints, sigmas: float) -> bool:
+    off = np.linalg.norm(points.points - image, axis=1)
+    return bool(np.any(off < sigmas * points.sd_mm + SLACK_MM))
+
+
+def _shown(
+    images: Floats, body: Body, cameras: Sequence[Camera], front: Bools, some: Candidates
+) -> Bools:
+    """Which candidates (n,) of cameras in front of the mirror lie on the images of balls."""
+    own = lie_on_balls(images, body.radii, cameras, some.rays.cameras, some.pixels)
+    return np.asarray(own & front[some.rays.cameras])
+
 
 _SIGMAS = 3.5  # Candidates agree with a pose within this many standard deviations
 _EXTRA_PX = 1.5  # Added to every candidate's standard deviation in quadrature
