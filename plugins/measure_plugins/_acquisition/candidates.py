@@ -18,7 +18,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
 from measure.model import BallColor
-from measure_plugins._acquisition.circles import circles_of, distinct
+from measure_plugins._acquisition.circles import borders, circles_of, distinct, framed, majority
 from measure_plugins._acquisition.color_table import (
     MAX_COLORS,
     brighter_than_the_rest,
@@ -29,45 +29,6 @@ from measure_plugins._acquisition.color_table import (
     much_in_shade,
     with_shade,
 )
-
-OFF = 2
-"""Value of a mask outside the picture."""
-
-
-def majority(bits: Bytes) -> Bytes:
-    """A 3 x 3 median filter of every bit; pixels at the picture's border count twice.
-
-    Args:
-        bits: (h, w) colours of each pixel.
-    """
-    out, there = np.zeros_like(bits), int(np.bitwise_or.reduce(bits, axis=None))
-    for bit in (1 << k for k in range(8)):
-        if there & bit:
-            out |= np.asarray(cv2.medianBlur(bits & np.uint8(bit), 3), np.uint8)
-    return out
-
-
-def framed(bits: Bytes, bit: int) -> Bytes:
-    """(h + 2, w + 2): 1 where pixels have a colour, 0 where not, in a margin of OFF."""
-    out = np.full((bits.shape[0] + 2, bits.shape[1] + 2), np.uint8(OFF))
-    out[1:-1, 1:-1] = (bits & np.uint8(bit)) != 0
-    return out
-
-
-def borders(mask: Bytes, least: int) -> list[Ints]:
-    """Outer borders of a colour's patches, those further up first.
-
-    Args:
-        mask: (h + 2, w + 2) of the colour, see `framed`.
-        least: borders with fewer pixels are left out.
-
-    Returns:
-        (n, 2) pixels x, y of each, in order.
-    """
-    inner = np.ascontiguousarray(mask[1:-1, 1:-1])
-    found, _ = cv2.findContours(inner, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return [np.array(one[:, 0], np.int64) for one in reversed(found) if len(one) >= least]
-
 
 MIN_RADIUS_PX = 6.0
 """Smallest outline radius searched for: rough circles of balls of 7 px are up to 1 px smaller."""
