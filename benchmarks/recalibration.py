@@ -21,7 +21,7 @@ from benchmarks.command import run_command
 from measure.arrays import Floats, Ints
 from measure.errors import EstimatorError
 from measure.host import Dataset, Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core import choose_poses, files, fit_zeroing
 from measure_learning.onnx import OnnxModel
 

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.command import run_command
 from benchmarks.registration import HOME_DEG, SWING_DEG, schema, ur5e
 from measure.host import Dataset, Estimator, Registry, discover
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure.robots import SerialChain
 from measure_learning.core import evaluate, join
 

@@ -21,7 +21,7 @@ from benchmarks.faults import mutating
 from benchmarks.faults.mutating import BINARY, TEXT, Mutation
 from measure.cli import main
 from measure.host import Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure.robots import RobotLog
 from measure.session import read_calibration, write_calibration
 from measure.simulation import write_session

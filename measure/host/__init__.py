@@ -1,28 +1,32 @@
 """All a plugin author needs to read: interfaces, the hooks, and how plugins are found."""
 
 from measure.host.dataset import Dataset, Turns
-from measure.host.estimator import (
-    Correction,
-    Epoch,
-    Estimator,
-    LeftOut,
-    RecordingLeftOut,
-    Report,
-    quiet,
-)
 from measure.host.hooks import ENTRY_POINT_GROUP, hookimpl
 from measure.host.interfaces import (
+    Conclusion,
+    Correction,
     Detector,
+    Epoch,
+    Estimator,
+    EventMark,
+    LeftOut,
     Plugin,
     PoseSolver,
+    RecordingLeftOut,
+    Report,
+    Review,
     SelfCalibratingDetector,
+    SentPose,
+    SentRun,
+    Sink,
+    Tracker,
     Triangulator,
+    host_port,
+    quiet,
 )
-from measure.host.names import plain_name, plain_names
+from measure.host.messages import plain_name, plain_names
 from measure.host.registry import Broken, Distribution, Loaded, Registry, discover
 from measure.host.settings import Setting, Settings, describe_settings, setting
-from measure.host.sink import EventMark, SentPose, SentRun, Sink, host_port
-from measure.host.tracker import Conclusion, Review, Tracker
 from measure.processes import needed
 
 __all__ = [

@@ -6,10 +6,15 @@ from dataclasses import dataclass
 
 import pluggy
 
-from measure.host.estimator import Estimator
-from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
-from measure.host.sink import Sink
-from measure.host.tracker import Tracker
+from measure.host.interfaces import (
+    Detector,
+    Estimator,
+    Plugin,
+    PoseSolver,
+    Sink,
+    Tracker,
+    Triangulator,
+)
 
 ENTRY_POINT_GROUP = "measure"
 """The group of entry points in which plugins are found."""

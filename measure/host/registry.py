@@ -18,8 +18,7 @@ import pluggy
 
 from measure.errors import MeasureError, PluginError
 from measure.host import hooks
-from measure.host.estimator import Estimator
-from measure.host.interfaces import NAME, Plugin
+from measure.host.interfaces import NAME, Estimator, Plugin
 from measure.host.settings import Settings, read_settings
 
 P = TypeVar("P", bound=Plugin)

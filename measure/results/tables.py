@@ -13,9 +13,9 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from measure.arrays import Floats, Ints
-from measure.host.sink import PLACE as PLACE
-from measure.host.sink import QUALITY as QUALITY
-from measure.host.sink import pose_columns
+from measure.host.interfaces import PLACE as PLACE
+from measure.host.interfaces import QUALITY as QUALITY
+from measure.host.interfaces import pose_columns
 from measure.limits import AT_ONCE
 from measure.measuring import Measurement, relative_measurements
 from measure.model import BallView, Body, Camera

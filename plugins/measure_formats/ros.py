@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from measure.host import plain_names
-from measure.host.ros_messages import METRES, POSE, RosMessages, header, letters, nanoseconds
+from measure.host.messages import METRES, POSE, RosMessages, header, letters, nanoseconds
 from measure.results.pose_table import Velocities
 from measure.results.run import Run
 from measure.results.tables import numbers, texts

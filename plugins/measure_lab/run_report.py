@@ -1,10 +1,15 @@
-"""A run's report: from its tables to one page."""
+"""A run's report: from its tables to one page.
+
+Its map shows how well the body's position can be known across the workspace of the run.
+"""
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,19 +20,138 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from measure.arrays import Floats, Ints
+from measure.estimation.expected_accuracy import body_pose_sd, noise_sd, tolerance_sd
 from measure.geometry import RigidTransform
-from measure.limits import MOST_LISTED, SINCE_1970_S
+from measure.limits import MOST_LISTED, SINCE_1970_S, SPREAD_OVER
 from measure.metrology.noise import Noise
 from measure.results import Run, Summary
 from measure.results.pose_table import noise_about, noise_at_rest, poses_of
 from measure.results.summary import WHICH_ACCURACY
 from measure.results.tables import texts
 from measure.session import dump_toml
-from measure.viewing.report import figures, places
+from measure.viewing.report import figures
 from measure.viewing.report.page import Page
-from measure_lab import run_figures
-from measure_lab.accuracy import accuracy_map
+from measure.viewing.state_colors import css
 from measure_lab.verdict import verdict
+
+_STEPS = 11
+_MIN_REACH_MM = 60.0
+_MAP_SIZE_RATIO = 1.5  # How far the map goes beyond the places where the body was
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyMap:
+    """Expected error of the body's position over a plane through the middle of the workspace."""
+
+    axes: tuple[int, int]  # the two world axes of the plane: 0 is x, 1 y, 2 z
+    across_mm: Floats  # (n,) coordinates along the first
+    up_mm: Floats  # (m,) along the second
+    sd_mm: Floats  # (m, n) standard deviation of the position, 3-D; NaN where it cannot be measured
+    from_calibration: bool  # whether the cameras' own uncertainty is in it
+
+
+def accuracy_map(run: Run, axes: tuple[int, int]) -> AccuracyMap:
+    """What one may expect elsewhere in the workspace, with every ball in sight.
+
+    The geometry of cameras and body says how errors grow from place to place; how large they are is
+    what the run, with at least one pose, reported along its path, and the calibration's part
+    (camera by camera) is kept apart from that of the pictures. The body keeps the turn it had in
+    the middle of the run.
+    """
+    place = run.world_from_body.translation
+    low, high = place.min(axis=0), place.max(axis=0)
+    middle = (low + high) / 2
+    reach = np.maximum(_MAP_SIZE_RATIO * (high - low) / 2, _MIN_REACH_MM)
+    turn = run.world_from_body.rotation[len(place) // 2]
+    steps = np.linspace(-1, 1, _STEPS)
+    across, up = (middle[axis] + reach[axis] * steps for axis in axes)
+    noise_px = reported_noise_px(run)
+    sd = np.empty((_STEPS, _STEPS))
+    for row, column in np.ndindex(sd.shape):
+        at = middle.copy()
+        at[list(axes)] = across[column], up[row]
+        per_px, fixed = _parts(RigidTransform(turn, at), run)
+        sd[row, column] = np.hypot(noise_px * per_px, fixed)
+    known = any(camera.pose_covariance is not None for camera in run.cameras)
+    return AccuracyMap(axes, across, up, sd, known)
+
+
+def reported_noise_px(run: Run) -> float:
+    """The noise of a ball's centre in a picture that explains the uncertainty the run reported.
+
+    Larger than the scatter of the outlines, because the reported uncertainty also holds what no
+    single frame can show. The median over poses spread along the run.
+    """
+    picked = np.unique(np.linspace(0, int(run.has_pose.sum()) - 1, SPREAD_OVER).astype(int))
+    reported = np.sqrt(np.trace(run.covariances[picked, :3, :3], axis1=1, axis2=2))
+    parts = np.array([_parts(run.world_from_body[int(k)], run) for k in picked])
+    seen = np.isfinite(parts).all(axis=1)
+    if not seen.any():
+        return float("nan")
+    beside = np.maximum(reported**2 - parts[:, 1] ** 2, 0.0)[seen]
+    return float(np.sqrt(np.median(beside / parts[seen, 0] ** 2)))
+
+
+def _parts(pose: RigidTransform, run: Run) -> tuple[float, float]:
+    """SD of the position in mm by a px of noise, and by calibration and body; NaN if unseen."""
+    points = pose.apply(run.body.centers)
+    cameras = tuple(c for c in run.cameras if c.intrinsics.contains(c.project(points)).any())
+    per_px, _ = noise_sd(pose, run.body, cameras, 1.0)
+    if not np.isfinite(per_px):
+        return float("nan"), float("nan")
+    from_cameras, _ = body_pose_sd(cameras, run.body, [pose])
+    from_body, _ = tolerance_sd(run.body, pose)
+    return per_px, math.hypot(from_cameras[0], from_body)
+
+
+def log_log(
+    across: Floats, curves: Mapping[str, Floats], label: str, other_label: str
+) -> go.Figure:
+    """Curves (n,) by name over positive values (n,), both axes logarithmic."""
+    figure = figures.blank(x=label, y=other_label)
+    for (name, values), color in zip(curves.items(), figures.PALETTE, strict=False):
+        figure.add_scatter(x=across, y=values, name=name, mode="lines", line={"color": color})
+    figure.update_xaxes(type="log")
+    figure.update_yaxes(type="log", exponentformat="power")
+    return figure
+
+
+def state_timeline(
+    times_s: Floats, codes: Ints, views: Sequence[str], reasons: Sequence[str]
+) -> go.Figure:
+    """Who saw what when, by codes (views, n) into `reasons`, 0 effective; the commonest if many."""
+    count = len(times_s)
+    ends = np.linspace(0, count, min(count, figures.MAX_POINTS) + 1).astype(np.int64)
+    shown = codes if count <= figures.MAX_POINTS else _commonest(codes, ends)
+    colors = [css(reason) for reason in reasons]
+    top = max(len(reasons) - 1, 1)
+    steps = [(code + end) / (top + 1) for code in range(len(reasons)) for end in (0, 1)]
+    figure = figures.blank(90 + 22 * len(views), x="time since the start [s]")
+    figure.add_heatmap(
+        x=times_s[ends[:-1]],
+        y=list(views),
+        z=shown.astype(np.int8),
+        zmin=-0.5,
+        zmax=top + 0.5,
+        colorscale=list(zip(steps, np.repeat(colors, 2), strict=True)),
+        ygap=2,
+        showscale=False,
+    )
+    for reason, color in zip(reasons, colors, strict=True):
+        marker = {"symbol": "square", "size": 10, "color": color}
+        figure.add_scatter(x=[None], y=[None], mode="markers", marker=marker, name=reason)
+    figure.update_yaxes(autorange="reversed")
+    return figure
+
+
+def _commonest(codes: Ints, ends: Ints) -> Ints:
+    """Of each stretch of codes (views, n) the commonest but 0; 0 where all are."""
+    counts = [
+        np.add.reduceat(codes == code, ends[:-1], axis=1) for code in range(1, int(codes.max()) + 1)
+    ]
+    if not counts:
+        return np.zeros((len(codes), len(ends) - 1), dtype=np.int64)
+    return np.where(np.any(counts, axis=0), 1 + np.argmax(counts, axis=0), 0)
 
 
 def run_report(
@@ -145,8 +269,8 @@ def _add_poses(page: Page, run: Run, frame: str) -> None:
         "Where the body's origin went, and how well each position is known; then as seen along "
         "each axis. The line has a gap where there is no pose, and where one is flagged: those "
         "are loose points.",
-        places.trajectory(sure, sd, centers, names, doubtful),
-        *(places.plan(sure, axes, doubtful) for axes in _PLANES),
+        figures.trajectory(sure, sd, centers, names, doubtful),
+        *(figures.plan(sure, axes, doubtful) for axes in _PLANES),
     )
     axes = np.full((len(has), 3), np.nan)
     axes[has] = np.sqrt(np.diagonal(run.covariances, axis1=1, axis2=2)[:, :3])
@@ -194,7 +318,7 @@ def _add_accuracy(page: Page, run: Run) -> None:
         "Expected standard deviation of the position, 3-D, if every ball is in sight: the geometry "
         f"of cameras and body, scaled to what this run reported along its path; {source}. White: "
         "the path. Empty: seen by too few cameras.",
-        *(places.accuracy(m.across_mm, m.up_mm, m.sd_mm, m.axes, path) for m in maps),
+        *(figures.accuracy(m.across_mm, m.up_mm, m.sd_mm, m.axes, path) for m in maps),
     )
 
 
@@ -204,7 +328,7 @@ def _add_views(page: Page, run: Run) -> None:
         "Who saw what when",
         "Each ball in each camera: effective, or suspended and why. Where frame sets are many, a "
         "column stands for several and shows the commonest reason against a view among them.",
-        run_figures.state_timeline(since_start(run), codes, views, reasons),
+        state_timeline(since_start(run), codes, views, reasons),
     )
     seen = {name: run.detections[name].to_numpy(zero_copy_only=False) for name in _RESIDUAL}
     _add_residuals(page, run, seen)
@@ -318,7 +442,7 @@ def _add_distances(page: Page, run: Run) -> None:
 def _add_provenance(page: Page, runs: Sequence[Run]) -> None:
     run = runs[0]
     words = "The cameras as used. Standard deviations are those that the calibration file states."
-    places.add_cameras(page, words, run.cameras)
+    figures.add_cameras(page, words, run.cameras)
     file = Path(run.provenance.get("session", {}).get("path", "SESSION"))
     session = file.parent.name if file.name == "session.toml" else file.name
     calibration = Path(run.provenance.get("calibration", {}).get("path", "CALIBRATION")).name
@@ -402,9 +526,9 @@ def add_noise(page: Page, run: Run, errors: Floats | None) -> None:
 def _noise_figures(found: Noise) -> list[go.Figure]:
     names = ("position [mm]", "rotation [deg]")
     mean = dict(zip(names, found.allan.T, strict=True))
-    drawn = [run_figures.log_log(found.averaging_s, mean, "averaged over [s]", "Allan deviation")]
+    drawn = [log_log(found.averaging_s, mean, "averaged over [s]", "Allan deviation")]
     if len(found.frequency_hz):
         density = dict(zip(names, found.density.T, strict=True))
         label = "density [per root Hz]"
-        drawn.append(run_figures.log_log(found.frequency_hz, density, "frequency [Hz]", label))
+        drawn.append(log_log(found.frequency_hz, density, "frequency [Hz]", label))
     return drawn

@@ -12,7 +12,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, Estimator
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure.testing.rules import PluginConformance, assert_covariance, assert_same
 from measure_learning.core import AssemblySettings, Split, simulated_dataset, split_by_trajectory
 from measure_learning.onnx import OnnxModel

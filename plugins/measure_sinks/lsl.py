@@ -7,7 +7,7 @@ from typing import Any
 
 from measure.errors import ConfigError
 from measure.host import EventMark, SentPose, Sink, hookimpl, needed
-from measure.host.sink import PLACE, pose_columns
+from measure.host.interfaces import PLACE, pose_columns
 
 _STATUS = ("ok", "flagged", "lost", "skipped")
 _CHANNELS = (

@@ -15,7 +15,7 @@ from measure.host import (
     plain_names,
     setting,
 )
-from measure.host.ros_messages import POSE, RosMessages
+from measure.host.messages import POSE, RosMessages
 
 _DROP = "transport/link/tx/queue/congestion_control/drop"  # In the configuration of Zenoh
 

@@ -21,9 +21,8 @@ from measure.measuring import Status
 from measure.results import Provenance, RunWriter, read_run
 from measure.session import read_body
 from measure.viewing.report import figures
-from measure_lab.accuracy import accuracy_map
 from measure_lab.api import report
-from measure_lab.run_report import run_report
+from measure_lab.run_report import accuracy_map, run_report
 from measure_lab.verdict import verdict
 from measure_learning.core.frames import RobotFrame, write_frame
 

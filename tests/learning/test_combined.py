@@ -15,7 +15,7 @@ from benchmarks.stiff_arm import recording
 from measure.cli import main
 from measure.errors import EstimatorError, PluginError
 from measure.host import Dataset, Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core import EstimateServer, StatePacket, TruePacket, evaluate, files, join
 from measure_learning.core.datagrams import AnswerPacket
 from measure_learning.onnx import OnnxEstimator, OnnxModel

@@ -11,7 +11,7 @@ import pytest
 
 from measure.errors import DivergedError, EstimatorError
 from measure.host import Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure.robots import Reading, StateSchema
 from measure_learning.core import Score, Split, evaluate
 from measure_learning.onnx import OnnxModel

@@ -11,7 +11,7 @@ import pytest
 from measure.cli import main
 from measure.errors import EstimatorError, FitError
 from measure.host import Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core import Split
 from measure_learning.core.fitting import fit
 from measure_learning.estimators.offset import OffsetEstimator

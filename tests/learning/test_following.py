@@ -9,7 +9,7 @@ import pytest
 
 from measure.cli import main
 from measure.host import Correction, Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core import EstimateServer, OffsetFollower, Refusal, Split, TruePacket
 from measure_learning.core.datagrams import AnswerPacket, StatePacket
 from measure_learning.onnx import OnnxModel

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.registration import recorded, schema, ur5e
 from measure.errors import EstimatorError
 from measure.host import Dataset
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure.robots import RobotLog
 from measure_learning.core import assemble
 from measure_learning.estimators.kinematic import KinematicEstimator, KinematicSettings

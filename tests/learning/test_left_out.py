@@ -11,7 +11,7 @@ import pytest
 
 from measure.cli import main
 from measure.host import Dataset, Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core import evaluate, files, split_by_trajectory
 from measure_learning.estimators import _training_set
 from measure_learning.estimators._training_set import OutputUnits, TrainingSet

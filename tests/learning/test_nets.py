@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from measure.host import Dataset
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure.robots import SerialChain
 from measure_learning.core import Split
 from measure_learning.estimators import _nets, _training

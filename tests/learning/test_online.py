@@ -12,7 +12,7 @@ import pytest
 from benchmarks.online import time_round_trips
 from measure.errors import EstimatorError
 from measure.host import Correction, Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core import (
     AnswerPacket,
     EstimateClient,

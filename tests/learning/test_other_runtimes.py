@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from measure.host import Dataset, Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core import EstimateServer
 from measure_learning.onnx import OnnxModel
 from measure_learning.robots import find_schema

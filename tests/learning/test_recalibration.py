@@ -12,7 +12,7 @@ import pytest
 from measure.arrays import Floats, Ints
 from measure.cli import main
 from measure.host import Dataset, Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core import Split, evaluate, files, join, rezero, training
 from measure_learning.core.recalibration import choose_poses
 from measure_learning.onnx import OnnxModel

@@ -17,7 +17,7 @@ import measure_learning
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host import Dataset, Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core import EstimateClient, EstimateServer, Refusal, correct_file
 from measure_learning.onnx import OnnxEstimator, OnnxModel
 from measure_learning.robots import find_schema

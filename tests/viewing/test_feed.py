@@ -14,9 +14,8 @@ import pytest
 import rerun as rr
 import rerun.blueprint as rrb
 
-from measure.viewing import entities, feed
-from measure.viewing.feed import ViewerFeed
-from measure.viewing.recording import RunRecording, is_whole, open_recording
+from measure.viewing import entities, recording
+from measure.viewing.recording import RunRecording, ViewerFeed, is_whole, open_recording
 from tests.measurements import BODY, CAMERAS, measurement
 from tests.viewing.reading import column, read_recording
 
@@ -64,7 +63,7 @@ def wait_until(holds, what: str) -> None:
 
 
 def test_a_frozen_viewer_costs_neither_poses_nor_the_file(frozen, tmp_path, monkeypatch):
-    monkeypatch.setattr(feed, "SLOW_S", 0.5)
+    monkeypatch.setattr(recording, "SLOW_S", 0.5)
     said, path = list[str](), tmp_path / "run.rrd"
     stream = open_recording("test", CAMERAS, path, frozen.address, note=said.append)
     began_s = time.monotonic()
@@ -130,15 +129,15 @@ class Slow:
 
 @pytest.fixture
 def slow(monkeypatch):
-    monkeypatch.setattr(feed.rr, "RecordingStream", Slow)
-    monkeypatch.setattr(feed.rr, "GrpcSink", lambda _: None)
-    monkeypatch.setattr(feed.rr, "unregister_shutdown", lambda: None)
+    monkeypatch.setattr(recording.rr, "RecordingStream", Slow)
+    monkeypatch.setattr(recording.rr, "GrpcSink", lambda _: None)
+    monkeypatch.setattr(recording.rr, "unregister_shutdown", lambda: None)
     said = list[str]()
     return ViewerFeed("here", said.append, LAYOUT), said
 
 
 def test_what_waits_for_a_viewer_has_a_bound_and_what_is_left_out_is_counted(slow, monkeypatch):
-    monkeypatch.setattr(feed, "HELD_BYTES", 1000)
+    monkeypatch.setattr(recording, "HELD_BYTES", 1000)
     viewer, said = slow
     for k in range(10):
         viewer.log(f"{k}", rr.Scalars([0.0] * 40))  # 320 bytes of numbers and what frames them

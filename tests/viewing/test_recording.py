@@ -23,7 +23,7 @@ from measure.geometry import RigidTransform
 from measure.model import FrameSet, Image
 from measure.model.observations import BallView, Reason, State
 from measure.session import Trajectory
-from measure.viewing import entities, feed, recording, state_colors, viewer
+from measure.viewing import entities, recording, state_colors, viewer
 from measure.viewing.blueprint import run_blueprint
 from measure.viewing.recording import OpenRecording, RunRecording, open_recording
 from tests.viewing.reading import column, read_recording
@@ -76,7 +76,7 @@ def test_coordinates_have_plots_of_their_own():
 
 def test_a_preview_shows_five_pictures_a_second_of_each_camera(tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "check_listening", lambda address: None)
-    monkeypatch.setattr(feed.rr, "GrpcSink", lambda _: rr.FileSink(tmp_path / "seen.rrd"))
+    monkeypatch.setattr(recording.rr, "GrpcSink", lambda _: rr.FileSink(tmp_path / "seen.rrd"))
     preview = recording.LivePictures(["a", "b"], "nowhere", print)
     for frame in range(15):
         for name in ("a", "b"):

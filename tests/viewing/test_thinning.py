@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from measure.viewing.report.figures import MAX_POINTS, thinned
-from measure_lab.run_figures import state_timeline
+from measure_lab.run_report import state_timeline
 
 COUNT = 100_000
 

@@ -9,7 +9,7 @@ from measure.arrays import Floats
 from measure.calibration import RigCalibration, Verdict
 from measure.calibration.findings import SUB_MM_SD_MM
 from measure.checking import Level
-from measure.viewing.report import figures, places
+from measure.viewing.report import figures
 from measure.viewing.report.page import Page
 
 _PLANES = ((0, 1), (0, 2))
@@ -27,7 +27,7 @@ def calibration_report(name: str, rig: RigCalibration, verdict: Verdict) -> str:
     words = "The cameras as they come out."
     if rig.disagreement_mm:
         words += " Apart: how far board and markers disagree."
-    places.add_cameras(page, words, rig.cameras, rig.disagreement_mm or None)
+    figures.add_cameras(page, words, rig.cameras, rig.disagreement_mm or None)
     _add_workspace(page, rig, verdict)
     _add_marks(page, rig)
     _add_lenses(page, rig, verdict)
@@ -81,7 +81,9 @@ def _add_workspace(page: Page, rig: RigCalibration, verdict: Verdict) -> None:
         middle = tuple(slice(None) if axis in (across, up) else 1 for axis in range(3))
         plane, at = sd[middle], grid[middle]
         maps.append(
-            places.accuracy(at[:, 0, across], at[0, :, up], plane.T, (across, up), np.zeros((0, 3)))
+            figures.accuracy(
+                at[:, 0, across], at[0, :, up], plane.T, (across, up), np.zeros((0, 3))
+            )
         )
     centers = np.stack([camera.center for camera in rig.cameras])
     names = [camera.name for camera in rig.cameras]
@@ -90,7 +92,7 @@ def _add_workspace(page: Page, rig: RigCalibration, verdict: Verdict) -> None:
         "Standard deviation of the body's position, 3-D, from the calibration alone, on planes "
         "through the middle; and where the cameras stand.",
         *maps,
-        places.trajectory(grid.reshape(-1, 3), verdict.position_sd_mm, centers, names),
+        figures.trajectory(grid.reshape(-1, 3), verdict.position_sd_mm, centers, names),
     )
 
 

@@ -54,7 +54,7 @@ def accept(
     with output(page, overwrite) as file:
         opened, accepted = _accepted(Path(run), Path(lengths), body)
         if page is not None:
-            from measure_lab.report import acceptance_report
+            from measure_lab.acceptance_report import acceptance_report
 
             file.write_text(acceptance_report(opened, accepted.judged, accepted.promises), "utf-8")
     return accepted

@@ -11,7 +11,7 @@ import numpy as np
 from measure.arrays import Floats, rms_length
 from measure.geometry import RigidTransform, chi_square_quantile, squared_mahalanobis
 from measure.host import Dataset, Estimator, Report
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure_learning.core.fitting import fit
 from measure_learning.core.splits import Split
 from measure_learning.onnx import Estimates, OnnxModel

@@ -8,7 +8,7 @@ import numpy as np
 
 from measure.geometry import RigidTransform
 from measure.host import Dataset, Report
-from measure.host.estimator import quiet
+from measure.host.interfaces import quiet
 from measure.robots import RobotLog
 from measure.session import Trajectory
 from measure_learning.core.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble

@@ -207,7 +207,7 @@ class SweepJob:
 
 def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
     """Fit with some settings; RMS in mm on the validation recordings."""
-    from measure.host.estimator import quiet
+    from measure.host.interfaces import quiet
 
     data = read_dataset(Path(job.data))
     if data.digest() != job.digest:

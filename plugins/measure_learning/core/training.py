@@ -15,7 +15,7 @@ from typing import Any
 
 from measure.errors import EstimatorError
 from measure.host import Dataset, Epoch, Estimator, LeftOut, Report
-from measure.host.estimator import RecordingLeftOut
+from measure.host.interfaces import RecordingLeftOut
 from measure.host.registry import named
 from measure_learning.core.fitting import fit
 from measure_learning.core.scores import EstimatorEvaluation, evaluate, speed_range

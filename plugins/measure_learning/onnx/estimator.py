@@ -13,7 +13,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import DivergedError, EstimatorError
 from measure.host.dataset import Dataset, recording_of
-from measure.host.estimator import Correction, Estimator, LeftOut, Report, quiet
+from measure.host.interfaces import Correction, Estimator, LeftOut, Report, quiet
 from measure.host.settings import Settings
 from measure.robots import StateSchema
 from measure_learning.onnx.graph import Graph, Value

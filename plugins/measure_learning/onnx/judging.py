@@ -14,7 +14,7 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.host.dataset import Dataset
-from measure.host.estimator import RecordingLeftOut
+from measure.host.interfaces import RecordingLeftOut
 from measure.robots import StateSchema
 from measure_learning.onnx.graph import Graph, Value
 from measure_learning.onnx.kinematics import tip_place

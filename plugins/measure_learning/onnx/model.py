@@ -33,7 +33,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 from measure.arrays import Bools, Floats, floats
 from measure.errors import EstimatorError
 from measure.host.dataset import Dataset, Turns
-from measure.host.estimator import Correction
+from measure.host.interfaces import Correction
 from measure.host.settings import explain_validation
 from measure.reading import read_bytes
 from measure.robots import StateSchema

@@ -1,8 +1,14 @@
-"""Poses as messages of ROS 2, in metres and radians; CDR by rosbags."""
+"""Poses in the formats of other programs: names of bodies, and messages of ROS 2.
+
+Where a format restricts names, one rule serves every sink and export. Messages are in metres and
+radians, serialised (CDR) by rosbags.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,6 +16,33 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform
+
+_LETTERS = 60  # ROS advises short names; what is longer is cut, and numbered where alike
+
+
+def plain_name(name: str, nothing: str = "body") -> str:
+    """A name of ASCII letters, digits and `_`, which begins with a letter.
+
+    Accents are dropped, all else becomes `_`; `nothing` stands for a name without anything
+    left, and before one that begins with a digit.
+    """
+    plain = unicodedata.normalize("NFKD", name.replace("ß", "ss")).encode("ascii", "ignore")
+    word = re.sub("[^A-Za-z0-9]+", "_", plain.decode()).strip("_")[:_LETTERS]
+    return word if word[:1].isalpha() else "_".join(filter(None, (nothing, word)))
+
+
+def plain_names(names: Iterable[str], nothing: str = "body") -> dict[str, str]:
+    """`plain_name` of each; of names that would be alike the later ones end in a number."""
+    out: dict[str, str] = {}
+    for name in dict.fromkeys(names):
+        word = made = plain_name(name, nothing)
+        number = 1
+        while made in out.values():
+            number += 1
+            made = f"{word}_{number}"
+        out[name] = made
+    return out
+
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TF = "tf2_msgs/msg/TFMessage"

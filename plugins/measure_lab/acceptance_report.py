@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from measure.results import Run
-from measure.viewing.report import figures, places
+from measure.viewing.report import figures
 from measure.viewing.report.page import Page
 from measure_lab.lengths import Acceptance
 
@@ -54,7 +54,7 @@ def acceptance_report(
         ("promise", "held", "here"),
         [(what, "yes" if held else "no", how) for what, held, how in promises],
     )
-    places.add_cameras(page, "The cameras as used.", run.cameras)
+    figures.add_cameras(page, "The cameras as used.", run.cameras)
     return page.render("Made by measure accept. Everything on this page is inside this file.")
 
 
