@@ -15,8 +15,7 @@ import pytest
 
 from measure.cli import main
 from measure.errors import DivergedError, EstimatorError
-from measure.host import Dataset, Estimator, Registry
-from measure.host.estimator import quiet
+from measure.host import Dataset, Estimator, Registry, quiet
 from measure_learning.core import files, sweeping
 from measure_learning.core.sweeping import Range, read_space
 from tests.dask_cluster import Cluster
