@@ -12,13 +12,12 @@ from typing import Any
 
 from measure.errors import MeasureError
 from measure.processes import needed
-from measure.reading import check_ordinary, missing_message
+from measure.reading import MCAP_START, check_ordinary, kind_by_content, missing_message
 
-_MCAP = b"\x89MCAP0\r\n"
-_KINDS = {_MCAP: ".mcap", b"#ROSBAG V": ".bag", b"SQLite format 3\x00": ".db3"}
-"""What a bag begins with, and what its name then ends with, by which `rosbags` knows it."""
-_FOOTER = struct.pack("<BQQQL", 0x02, 20, 0, 0, 0) + _MCAP
+_FOOTER = struct.pack("<BQQQL", 0x02, 20, 0, 0, 0) + MCAP_START
 """Of an MCAP file without a summary: https://mcap.dev/spec."""
+BAGS = ".mcap", ".bag", ".db3"
+"""How the names of bags end, by which `rosbags` knows them."""
 _CHUNK, _DATA_END = 0x06, 0x0F
 _LARGEST_CHUNK_BYTES = 1 << 28
 _MAX_YAML_BYTES = 8 << 20  # metadata.yaml is read whole, where the rest of a bag is not
@@ -30,7 +29,7 @@ def is_bag(path: Path) -> bool:
     """Whether a file or folder is a bag, by its content."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file() or bool(_storage(path))
-    return path.is_file() and _kind(path) is not None
+    return path.is_file() and kind_by_content(path) in BAGS
 
 
 def split_topic(address: Path | str) -> tuple[Path, str | None]:
@@ -40,15 +39,6 @@ def split_topic(address: Path | str) -> tuple[Path, str | None]:
         return path, None
     before, hash_sign, topic = str(address).partition("#")
     return (Path(before), topic) if hash_sign else (path, None)
-
-
-def _kind(path: Path) -> str | None:
-    try:
-        with path.open("rb") as file:
-            head = file.read(max(map(len, _KINDS)))
-    except OSError:
-        return None
-    return next((ending for start, ending in _KINDS.items() if head.startswith(start)), None)
 
 
 def _storage(folder: Path) -> list[Path]:
@@ -160,11 +150,11 @@ def _files(path: Path, error: type[MeasureError], where: str) -> tuple[list[Any]
 
 def _is_torn(path: Path) -> bool:
     """Whether an MCAP file lacks its end."""
-    if _kind(path) != ".mcap":
+    if kind_by_content(path) != ".mcap":
         return False
     with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - len(_MCAP), len(_MCAP)))
-        return file.read() != _MCAP
+        file.seek(max(path.stat().st_size - len(MCAP_START), len(MCAP_START)))
+        return file.read() != MCAP_START
 
 
 class _Torn:
@@ -193,7 +183,7 @@ class _Torn:
 
 def _whole_records(file: Any, size: int) -> tuple[int, bytes]:
     """Where the last whole record ends; what there is of the contents of a chunk after it."""
-    at = len(_MCAP)
+    at = len(MCAP_START)
     while at + 9 <= size:
         file.seek(at)
         kind, length = struct.unpack("<BQ", file.read(9))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import codecs
-import csv
 import difflib
-import re
 import stat
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import NoneType
@@ -59,6 +57,26 @@ def check_ordinary(
             f"{where}{path}: has {there.st_size} bytes, and {most} are the most that are read"
         )
     return there.st_size
+
+
+MCAP_START = b"\x89MCAP0\r\n"
+_STARTS = {
+    MCAP_START: ".mcap",
+    b"#ROSBAG V": ".bag",
+    b"SQLite format 3\x00": ".db3",
+    b"PAR1": ".parquet",
+}
+"""What files of tables and bags begin with, and what their names then end with."""
+
+
+def kind_by_content(path: Path) -> str | None:
+    """How the name of a file of its content ends: a bag's or Parquet's; None of any other."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(max(map(len, _STARTS)))
+    except OSError:
+        return None
+    return next((ending for start, ending in _STARTS.items() if head.startswith(start)), None)
 
 
 def kind_of_file(mode: int) -> str:
@@ -192,20 +210,6 @@ def _kinds(annotation: Any) -> frozenset[Any]:
     return frozenset().union(*parts) if parts else frozenset([annotation])
 
 
-def csv_rows(
-    text: str, separator: str, error: type[MeasureError], place: str
-) -> Iterator[tuple[int, list[str]]]:
-    """Rows of a table of text with the numbers of the lines they end in; refused by `error`."""
-    reader = csv.reader(text.splitlines(), delimiter=separator)
-    try:
-        for row in reader:
-            yield reader.line_num, row
-    except csv.Error as problem:
-        raise error(
-            f"{place}:{reader.line_num}: {problem}: is a quotation mark not closed?"
-        ) from None
-
-
 def missing_message(path: Path) -> str:
     """Why `path` cannot be found: the first folder that is not there, or the names that are."""
     folder, what = path.parent, "no such file" if path.suffix else "no such file or folder"
@@ -232,58 +236,3 @@ def listed(names: Sequence[str]) -> str:
 
 def _reason(problem: Exception) -> str:
     return getattr(problem, "strerror", None) or str(problem)
-
-
-TIME = "time_s"  # Our own heading
-_SECONDS_AND_NANOSECONDS = (
-    ("secs", "nsecs"),
-    ("sec", "nanosec"),
-    ("header.stamp.secs", "header.stamp.nsecs"),
-    ("header.stamp.sec", "header.stamp.nanosec"),
-)
-"""What ROS 1 and ROS 2 call the parts of a stamp."""
-_ROSTOPIC = "field.header.stamp"  # In what `rostopic echo -p` writes: nanoseconds
-_UNITS = {
-    r"s|secs?|seconds?": 1.0,
-    r"ms|msecs?|millis|milliseconds?": 1e-3,
-    r"[uµμ]s|usecs?|micros|microseconds?": 1e-6,
-    r"ns|nsecs?|nanos|nanoseconds?": 1e-9,
-}
-_WHOSE = (
-    "frame|image|capture|exposure|sensor|camera|device|host|system|recording|elapsed|unix|epoch|"
-    "robot|controller|header"
-)
-_HEADING = re.compile(
-    rf"_*((?:{_WHOSE})[ _.]?)*(?:time[ _]?stamps?|times?|stamps?|ts?)"
-    rf"(?:[ _]*[(\[]?(?P<unit>{'|'.join(_UNITS)})[)\]]?)?"
-)
-
-
-TimeColumns = tuple[tuple[int, float], ...]
-"""Where the time stands: the sum of columns, each with its position and its unit in s."""
-
-
-def time_columns(header: Sequence[str], named: str | None = None) -> TimeColumns | None:
-    """Find the time by the headings, or by its `named` one; None if none, or several, may be it."""
-    if named is not None or TIME in header:
-        name = TIME if named is None else named
-        return ((header.index(name), stated_unit_s(name) or 1.0),) if name in header else None
-    if _ROSTOPIC in header:
-        return ((header.index(_ROSTOPIC), 1e-9),)
-    for pair in _SECONDS_AND_NANOSECONDS:
-        if all(name in header for name in pair):
-            return (header.index(pair[0]), 1.0), (header.index(pair[1]), 1e-9)
-    found = candidates(header)
-    return ((header.index(found[0]), stated_unit_s(found[0]) or 1.0),) if len(found) == 1 else None
-
-
-def candidates(header: Sequence[str]) -> list[str]:
-    """The headings that may be of times."""
-    return [name for name in header if _HEADING.fullmatch(name.lower())]
-
-
-def stated_unit_s(heading: str) -> float | None:
-    """The unit of time that a heading states; None if it states none."""
-    found = re.search(r"(?:[ _(\[]|time|stamp|ts?)([a-zµμ]+)[)\]]?$", heading.lower())
-    unit = found.group(1) if found else ""
-    return next((s for names, s in _UNITS.items() if re.fullmatch(names, unit)), None)

@@ -13,7 +13,7 @@ import cv2
 from measure.arrays import Bytes
 from measure.errors import CalibrationError, ConfigError, RunError
 from measure.session import check_name, matching_files, read_picture
-from measure.session.number_table import read_number_table
+from measure.tables import read_number_table
 
 EVENTS = "events.csv"  # In a run's folder: the time of each event and what it was
 

@@ -31,7 +31,7 @@ from measure.calibration.boards import (
 from measure.errors import CalibrationError
 from measure.reading import read_text
 from measure.session import FileModel, Length, Name, Position, load_toml
-from measure.session.number_table import read_number_table
+from measure.tables import read_number_table
 
 Count = Annotated[int, Field(ge=2, le=100)]
 

@@ -19,7 +19,7 @@ from measure.results.run import Run
 from measure.results.statistics import PixelErrors, PositionErrors, pixel_errors, position_errors
 from measure.results.tables import integers, numbers, texts
 from measure.session import Trajectory, open_session
-from measure.session.number_table import read_number_table
+from measure.tables import read_number_table
 
 Marks: TypeAlias = dict[tuple[str, int, str], Floats]
 """(2,) px by camera, the camera's frame number, and ball."""

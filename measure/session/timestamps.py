@@ -15,7 +15,7 @@ from measure.arrays import Floats, Ints
 from measure.errors import SessionError
 from measure.limits import GAP_PERIODS, SINCE_1970_S
 from measure.reading import read_text
-from measure.session.number_table import NumberTable, read_number_table
+from measure.tables import Dialect, NumberTable, read_number_table
 
 LATEST_S = 1e11  # Latest time of a recording, seconds after 1970
 _FILE_NAMES = {"filename", "file", "file_name", "image", "image_name", "path", "name"}
@@ -47,8 +47,7 @@ def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stam
         times, names, lines = listed
         table = NumberTable({"frame": np.arange(float(len(times))), "time_s": times}, lines, {})
     else:
-        head = next(filter(str.strip, text.splitlines()), "")
-        header = [name.strip().lstrip("#").strip() for name in re.split("[,;\t]", head)]
+        header = Dialect.of(text).names
         named = next((name for name in header if name.lower() in _FILE_NAMES), "")
         needed, words = tuple[str, ...](("frame", "time_s")), tuple[str, ...]()
         if named and "frame" not in header:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,8 +21,8 @@ from measure.neighbours import lacking
 from measure.reading import listed, read_text
 from measure.session.formats import able
 from measure.session.lost_body import lost_rows
-from measure.session.number_table import read_number_table
 from measure.session.tracked_body import TrackedBody
+from measure.tables import STEPS_S, UNITS_S, Dialect, read_number_table
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -31,9 +30,6 @@ if TYPE_CHECKING:
 COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 MAX_GAP_PERIODS = 5.0
 """Between samples farther apart than this many median periods nothing is interpolated."""
-_UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_STEPS_S = 1e-4, 1.0
-"""Shortest and longest step from row to row that a tracker makes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +129,7 @@ def read_trajectory(
     text = "" if in_bag else read_text(path, error)
     bodies = _tracked(path, text, error)
     first = next((line for line in text.splitlines() if line.strip()), "")
-    several = "body" in map(str.strip, re.split("[,;\t]", first))
+    several = "body" in Dialect.of(text).names
     if bodies is not None:
         values, lines = bodies[_one_of(path, bodies, body, error)].read(path, error)
     elif in_bag:
@@ -216,7 +212,7 @@ def _checked(
             f"{path}: its times are {np.mean(np.diff(values[:, 0])):.4g} apart: they are taken "
             f"for {unit}"
         )
-        values = np.column_stack([values[:, 0] * _UNITS_S[unit], values[:, 1:]])
+        values = np.column_stack([values[:, 0] * UNITS_S[unit], values[:, 1:]])
     lost = lost_rows(values)
     gone = np.any(list(lost.values()), axis=0) if lost else np.zeros(len(values), bool)
     if gone.all():
@@ -241,12 +237,12 @@ def _unit_of_times(
     Seconds unless rows would be farther apart than of any tracker.
     """
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    if step <= _STEPS_S[1]:
+    if step <= STEPS_S[1]:
         return "s"
     begin, end = during_s
     together, alike = dict[str, float](), dict[str, float]()
-    for unit, unit_s in _UNITS_S.items():
-        if unit == "s" or _STEPS_S[0] <= step * unit_s <= _STEPS_S[1]:
+    for unit, unit_s in UNITS_S.items():
+        if unit == "s" or STEPS_S[0] <= step * unit_s <= STEPS_S[1]:
             first, last = times[0] * unit_s, times[-1] * unit_s
             both = max(min(last, end) - max(first, begin), 0.0)
             together[unit] = both / (max(last, end) - min(first, begin))

@@ -19,9 +19,8 @@ from typing import Any
 from measure.bags import Bag, open_bag
 from measure.errors import SessionError
 from measure.processes import needed
-from measure.reading import check_ordinary
+from measure.reading import MCAP_START, check_ordinary
 
-_MCAP = b"\x89MCAP0\r\n"
 _KINDS = {
     "foxglove.CompressedImage": "sensor_msgs/msg/CompressedImage",
     "foxglove.RawImage": "sensor_msgs/msg/Image",
@@ -76,7 +75,7 @@ def _is_foxglove(path: Path) -> bool:
         return False
     with path.open("rb") as file:
         head = file.read(64)
-    return head.startswith(_MCAP) and b"ros" not in head[17:30]
+    return head.startswith(MCAP_START) and b"ros" not in head[17:30]
 
 
 class _Reader:

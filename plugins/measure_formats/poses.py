@@ -15,9 +15,9 @@ import numpy as np
 
 from measure.bags import Bag, described, is_bag, open_bag, split_topic, stamp_ns
 from measure.errors import MeasureError
-from measure.reading import csv_rows, time_columns
 from measure.session import MM_PER, TrackedBody
 from measure.session.trajectory import COLUMNS
+from measure.tables import Dialect, csv_rows, time_columns
 
 _UNIT = re.compile(r"\s*[\[(](?P<unit>.*)[\])]$|_(?P<suffix>mm|cm|m)$")
 _PLACE = re.compile(r"(.*[._/:])?(p(os(ition)?)?|t(rans(lation)?)?|p_[a-z_]+)?")
@@ -33,9 +33,8 @@ _TREES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 def table_poses(path: Path, text: str, error: type[MeasureError]) -> dict[str, TrackedBody] | None:
     """The body in a table of poses with telling headings; None if it is no such table, or ours."""
-    first = next((line for line in text.splitlines() if line.strip()), "")
-    separator = max(",;\t", key=first.count)
-    header = [cell.strip().lstrip("#%").strip() for cell in first.split(separator)]
+    dialect = Dialect.of(text)
+    header = dialect.names
     if set(COLUMNS) <= set(header) or (stamps := time_columns(header)) is None:
         return None
     columns, units = dict[str, dict[str, int]](), dict[str, str]()
@@ -52,10 +51,10 @@ def table_poses(path: Path, text: str, error: type[MeasureError]) -> dict[str, T
     unit_name = units[places[0]] or ("m" if _OF_ROS.fullmatch(places[0]) else "")
     if unit_name not in MM_PER:
         return None
-    rows = [row for _, row in csv_rows(text, separator, error, str(path))]
+    rows = [row for _, row in csv_rows(text, dialect.separator, error, str(path))]
     body = TrackedBody(
         rows,
-        after=next(k for k, row in enumerate(rows) if any(cell.strip() for cell in row)),
+        after=dialect.head - 1,
         times=[column for column, _ in stamps],
         units_s=[unit_s for _, unit_s in stamps],
         turns=[turns[0][axis] for axis in "wxyz"],

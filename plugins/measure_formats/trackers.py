@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from measure.arrays import Floats
 from measure.errors import MeasureError
-from measure.reading import csv_rows
 from measure.session import Format, TrackedBody
+from measure.tables import csv_rows
 
 _LENGTHS_MM = {
     "mm": 1.0,

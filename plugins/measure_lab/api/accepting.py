@@ -19,7 +19,7 @@ from measure.results import Run, read_runs
 from measure.results.distances import BallDistance, origin_distance
 from measure.results.pose_table import rests_of
 from measure.results.run import one_of
-from measure.session.number_table import NumberTable, read_number_table
+from measure.tables import NumberTable, read_number_table
 from measure_lab.api.metrology import told_of
 from measure_lab.lengths import Acceptance, MeasuredLengths, between_rests, judge
 

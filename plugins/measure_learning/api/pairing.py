@@ -15,7 +15,7 @@ from measure.processes import Progress
 from measure.robots import StateSchema
 from measure_learning.api.training import check_seeds
 from measure_learning.robots import LogFile, find_schema
-from measure_learning.robots.log_clock import NewStates, steps_mm
+from measure_learning.robots.logs import NewStates, steps_mm
 from measure_learning.simulator import Cables
 
 if TYPE_CHECKING:
@@ -368,14 +368,14 @@ def _logs_or_tool_poses(
 ) -> list[StateLog]:
     """The robot's logs; those that hold the tool's pose and no joints become pairs of poses."""
     from measure_learning.core.stops import is_sparse
+    from measure_learning.robots.headings import ToolHeadings
     from measure_learning.robots.logs import is_table, of_instants
     from measure_learning.robots.tables import TableFile
-    from measure_learning.robots.tool_poses import holds_tool_poses
 
     if is_sparse(tracks[0]):
         schema = of_instants(logs[0], schema, tracks[0].measured().times_s)
     if not all(is_table(path) for path in logs) or not all(
-        holds_tool_poses(TableFile.open(path, schema.log.delimiter).schema.names) for path in logs
+        ToolHeadings.of(TableFile.open(path, schema.log.delimiter).schema.names) for path in logs
     ):
         return list(open_logs([track.name for track in tracks], logs, schema, topic))
     if schema.chain is not None and options.angles is None:

@@ -21,15 +21,10 @@ from measure.session import read_trajectory
 from measure_learning.core.assemble import PoseTrack, TrajectoryFacts
 from measure_learning.core.scores import Score
 from measure_learning.robots import ROBOT_KEY, feature_columns
+from measure_learning.robots.headings import ToolHeadings
 from measure_learning.robots.other_programs import read_samples
 from measure_learning.robots.tables import Table
-from measure_learning.robots.tool_poses import (
-    Angles,
-    ToolReading,
-    holds_tool_poses,
-    reading_of,
-    tool_readings,
-)
+from measure_learning.robots.tool_poses import Angles, ToolReading, reading_of, tool_readings
 
 _KEY = b"measure.schema"
 _ERRORS = ("ex_mm", "ey_mm", "ez_mm")
@@ -250,7 +245,7 @@ def read_stops(
     try:
         found = feature_columns(path, schema, there)
     except EstimatorError:
-        if not holds_tool_poses(there):
+        if not ToolHeadings.of(there):
             raise
         return track, tool_readings(path, Table(path, table.content.select(there)), schema, angles)
     return track, found.states(str(path), table.numbers(*found.columns))

@@ -16,8 +16,8 @@ from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.host import Dataset, Turns
-from measure.reading import candidates, time_columns
 from measure.robots import StateSchema
+from measure.tables import candidates, time_columns
 from measure_learning.core import offsets
 from measure_learning.core.assemble import LONGEST_GAP_S, AssemblySettings, PoseTrack, assemble
 from measure_learning.core.files import covariance_columns, turn_columns
@@ -26,8 +26,7 @@ from measure_learning.core.guard import GuardedModel, Refusal
 from measure_learning.core.labels import Paired, chain_doubt, check_units, not_the_robot
 from measure_learning.onnx import OnnxModel
 from measure_learning.robots import LogFile, check_robot, feature_columns, is_table, log_pieces
-from measure_learning.robots.columns import FeatureColumns
-from measure_learning.robots.log_clock import Clock
+from measure_learning.robots.headings import Clock, FeatureColumns
 from measure_learning.robots.tables import TableFile
 
 _MOST_UNLIKE, _SPARSEST = 0.5, 10.0  # share of states; their steps over those of the training

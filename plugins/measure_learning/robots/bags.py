@@ -20,7 +20,7 @@ from measure.bags import described, open_bag, stamp_ns
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.robots.schema import StateSchema
-from measure_learning.robots.columns import FeatureColumns, find_columns, heading_hint
+from measure_learning.robots.headings import FeatureColumns, find_columns, heading_hint
 from measure_learning.robots.raven import FIELDS, Field, raven_schema
 from measure_learning.robots.tables import PIECE_ROWS
 

@@ -16,27 +16,16 @@ from measure.geometry import RigidTransform
 from measure.reading import FileModel, parse_toml, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
 from measure.robots.schema import Feature, LogFormat, OtherNames, Reading, StateSchema
-from measure_learning.robots.columns import UNITS_S
+from measure.session import MM_PER
+from measure.tables import UNITS_S
+from measure_learning.robots.headings import JOINTS, TIPS, UNITS_BEHIND
 from measure_learning.robots.other_programs import read_ur_calibration
 from measure_learning.robots.urdf import Follows, read_urdf
 
 BUILTIN = Path(__file__).with_name("builtin")
 YAML = (".yaml", ".yml")
-_FACTORS = {"rad": 1.0, "deg": np.pi / 180, "m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3}
+_FACTORS = {**MM_PER, "um": 1e-3, "rad": 1.0, "deg": np.pi / 180}
 _SMALLEST_REACH_MM, _LARGEST_REACH_MM = 5.0, 2e4
-# Names that many programs give to joint positions, counted from 0 or 1; with their unit behind.
-_JOINT_NAMES = (
-    "actual_q_{0}",
-    "q[{0}]",
-    "q{1}",
-    "q_{1}",
-    "q_{0}",
-    "joint_{1}",
-    "joint{1}",
-    "joint_{0}",
-    "j{1}",
-)
-_POSITION_NAMES = (("x_mm", "y_mm", "z_mm"), ("x_m", "y_m", "z_m"))
 
 
 class _Column(FileModel):
@@ -233,12 +222,10 @@ def _log(file: _Robot, names: tuple[str, ...], position: tuple[str, ...]) -> Log
     # Behind the three coordinates a pose goes on: that is no robot of more joints.
     others += [replace(_named(position, p.names, p.scale), unless="") for p in log.position]
     if not file.features:
-        for unit, scale in (("", 1.0), ("_rad", 1.0), ("_deg", _FACTORS["deg"])):
-            others += [_named(names, name + unit, scale) for name in _JOINT_NAMES]
+        for unit, scale in UNITS_BEHIND:
+            others += [_named(names, name + unit, scale) for name in JOINTS]
     if file.position is None:
-        others += [
-            OtherNames(position, n, f) for n, f in zip(_POSITION_NAMES, (1.0, 1e3), strict=True)
-        ]
+        others += [OtherNames(position, columns, scale) for columns, scale in TIPS]
     return LogFormat(
         names=tuple(others),
         time=log.time,

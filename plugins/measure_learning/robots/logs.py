@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -11,17 +11,18 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
-from measure.reading import TIME
+from measure.limits import LEVER_MM
 from measure.robots.schema import RobotLog, StateSchema, reported_mm
-from measure_learning.robots.columns import (
+from measure.tables import TIME
+from measure_learning.robots.generic import BUILTIN, YAML, read_schema
+from measure_learning.robots.headings import (
+    Clock,
     FeatureColumns,
     by_place,
     find_columns,
     heading_hint,
     lacking,
 )
-from measure_learning.robots.generic import BUILTIN, YAML, read_schema
-from measure_learning.robots.log_clock import Clock, NewStates, steps_mm
 from measure_learning.robots.raven import raven_schema
 
 if TYPE_CHECKING:
@@ -66,6 +67,12 @@ def misfit(where: str, schema: StateSchema, missing: Sequence[str], there: Seque
     return text + hint + (f"; its columns fit --robot {' or '.join(fitting)}" if fitting else "")
 
 
+_GOES_ON = 0.4
+"""Share of its speed before and after that an arm keeps across a state that is held. An arm that
+stands for two rows and starts again at full speed keeps a third."""
+_LEAST_MM, _LEAST_SHARE = 0.2, 0.01
+"""Way across a held state that harms labels, and share of such rows, from which it is worth a word:
+rounding of a slow joint and a lost packet are not."""
 _SAME_INSTANT_S = 1e-3
 _SAME_MM = 1e-9  # A controller's own position differs by more, if only by its last digit
 ROBOT_KEY = b"measure.robot"  # Under which a Parquet file of states names its robot
@@ -219,6 +226,64 @@ def as_held(path: Path, schema: StateSchema, topic: str | None = None) -> StateS
         return schema
     features = tuple(feature for feature in schema.features if feature.name in names)
     return replace(schema, features=features, groups=groups)
+
+
+@dataclass(frozen=True, eq=False)
+class NewStates:
+    """Rows of a log that hold a new state, where a program wrote the last one again and again."""
+
+    rows: Bools  # (n,) which rows count
+    rate_hz: float = np.nan  # of new states while the arm moves
+    matters: bool = False  # whether the others are many, and the arm moved farther than they say
+
+    @classmethod
+    def of(cls, times_s: Floats, steps_mm: Floats) -> NewStates:
+        """Find them by the times (n,) and by how far every row is from the one before, in mm.
+
+        A row that repeats the one before is held if the arm goes on as if it had not stopped. A
+        robot at rest repeats itself too: its rows count, up to the last that may be an answer.
+        """
+        count = len(times_s)
+        changes = np.flatnonzero(steps_mm != 0)
+        jumps, spans_s, lengths = steps_mm[changes[1:]], *map(np.diff, (times_s[changes], changes))
+        speeds = jumps / spans_s
+        moves = np.zeros(len(lengths), dtype=bool)
+        moves[1:-1] = speeds[1:-1] > _GOES_ON * np.minimum(speeds[:-2], speeds[2:])
+        if not (moves & (lengths > 1)).any():
+            return cls(np.ones(count, dtype=bool))
+        usual = int(np.median(lengths[moves]))
+        run = np.searchsorted(changes, np.arange(count), side="right") - 1
+        left = np.append(changes, count)[run + 1] - np.arange(count)  # rows until the next change
+        rows = (steps_mm != 0) | ~(np.append(moves, False)[run] | (left < usual))
+        far = np.append(jumps, 0.0)[run] > _LEAST_MM
+        steady = lengths <= 2 * usual
+        rate_hz = float(steady.sum() / spans_s[steady].sum())
+        return cls(rows, rate_hz, float(np.mean(~rows & far)) > _LEAST_SHARE)
+
+    def __str__(self) -> str:
+        """How many rows repeat others, and the robot's rate; empty where that does not matter."""
+        if not self.matters:
+            return ""
+        return (
+            f"{100 * (1 - self.rows.mean()):.0f} % of its rows repeat the one before while the arm "
+            f"moves: the robot answers {self.rate_hz:.3g} times a second, and every answer counts "
+            "once"
+        )
+
+
+def steps_mm(schema: StateSchema, states: Floats, before: Floats | None = None) -> Floats:
+    """How far joints of states (n, features) are from those of the row before; turns at a lever.
+
+    That of the tip where no joints are known. NaN for the first row, if nothing was `before` it.
+    """
+    matrix = schema.reading_matrix(schema.joints or schema.position)
+    if schema.joints and schema.chain is not None:
+        matrix = matrix * [1.0 if joint.prismatic else LEVER_MM for joint in schema.chain.joints]
+    read = np.flatnonzero(matrix.any(axis=1))  # other features need not be numbers
+    first = np.full((1, states.shape[1]), np.nan) if before is None else before[None]
+    with np.errstate(invalid="ignore", over="ignore"):
+        moved = np.diff(np.concatenate([first, states])[:, read], axis=0)
+        return np.asarray(np.linalg.norm(moved @ matrix[read], axis=1))
 
 
 class LogFile:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import codecs
-import csv as text_csv
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,13 +15,13 @@ from pyarrow import csv, parquet
 from pyarrow import types as kinds
 
 from measure.arrays import Floats
+from measure.bags import BAGS
 from measure.errors import EstimatorError
-from measure.reading import check_ordinary
-from measure_learning.robots.columns import lacking
+from measure.reading import MAX_TEXT_BYTES, check_ordinary, kind_by_content
+from measure.tables import MISSING, Dialect, is_number, read_number_table
+from measure_learning.robots.headings import lacking
 
 _SNIFFED_BYTES = 1 << 16
-_BINARY = (".parquet", ".bag", ".mcap", ".db3")
-_KINDS = {b"PAR1": ".parquet", b"#ROSBAG": ".bag", b"\x89MCAP": ".mcap", b"SQLite format 3": ".db3"}
 
 
 class TableColumns:
@@ -64,7 +63,7 @@ class Table(TableColumns):
         text = kind_of(path) == ".csv"
         with reading(path):
             if text:
-                return cls(path, csv.read_csv(path, **Dialect.of(path).options()))
+                return cls(path, csv.read_csv(path, **_options(_dialect(path))))
             return cls(path, parquet.read_table(path))
 
     def __len__(self) -> int:
@@ -94,7 +93,9 @@ class Table(TableColumns):
             column = column.cast(column.type.value_type)
         kind = column.type
         if kinds.is_integer(kind) or kinds.is_floating(kind) or kinds.is_boolean(kind):
-            return np.asarray(column.cast(pa.float64()).to_numpy(), dtype=np.float64)
+            # A stamp in ns has more digits than a float.
+            numbers = column.cast(pa.float64(), safe=False).to_numpy()
+            return np.asarray(numbers, dtype=np.float64)
         if kinds.is_null(kind):
             return np.full(len(self), np.nan)
         if kinds.is_string(kind) or kinds.is_large_string(kind):
@@ -107,27 +108,16 @@ class Table(TableColumns):
         raise EstimatorError(f"{self.path}: column '{name}' holds {kind}, where numbers are needed")
 
 
-def is_number(text: str | None) -> bool:
-    """Whether a cell is empty or a number."""
-    try:
-        float(text or "nan")
-    except ValueError:
-        return False
-    return True
-
-
 def kind_of(path: Path) -> str:
     """`.parquet`, `.bag`, `.mcap`, `.db3` or `.csv` (any text), by a file's first bytes."""
     check_ordinary(path, EstimatorError)
-    start = _first_bytes(path)
-    for magic, kind in _KINDS.items():
-        if start.startswith(magic):
-            if kind != path.suffix and kind != ".parquet":
-                raise EstimatorError(f"{path}: is a bag: rename it to {path.stem}{kind}")
-            return kind
-    if path.suffix not in _BINARY:
+    if (kind := kind_by_content(path)) is not None:
+        if kind != path.suffix and kind in BAGS:
+            raise EstimatorError(f"{path}: is a bag: rename it to {path.stem}{kind}")
+        return kind
+    if path.suffix not in (".parquet", *BAGS):
         return ".csv"
-    what = "Parquet" if path.suffix == ".parquet" else "a bag"
+    start, what = _first_bytes(path), "Parquet" if path.suffix == ".parquet" else "a bag"
     why = f"is text that begins {start[:20].decode()!r}" if start.isascii() else "is damaged"
     raise EstimatorError(f"{path}: cannot be read as {what}: it {why if start else 'is empty'}")
 
@@ -137,45 +127,25 @@ def _first_bytes(path: Path) -> bytes:
         return file.read(_SNIFFED_BYTES)
 
 
-@dataclass(frozen=True)
-class Dialect:
-    """How a table is written as text."""
+def _dialect(path: Path, separator: str | None = None) -> Dialect:
+    start = _first_bytes(path)
+    wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    text = start.decode("utf-16" if wide else "utf-8-sig", "replace")
+    return replace(Dialect.of(text, separator), encoding="utf-16" if wide else "utf-8")
 
-    names: tuple[str, ...]  # of the columns
-    head: int  # lines before the first row
-    delimiter: str
-    decimal: str
-    encoding: str
 
-    @classmethod
-    def of(cls, path: Path, delimiter: str | None = None) -> Dialect:
-        """Found by the first lines.
-
-        Lines that begin with # stand before the header; the last is the header, if numbers follow.
-        """
-        start = _first_bytes(path)
-        wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-        encoding = "utf-16" if wide else "utf-8"
-        text = start.decode("utf-16" if wide else "utf-8-sig", "replace")
-        lines = [*text.splitlines(), "", ""]
-        at = next((i for i, line in enumerate(lines) if not line.startswith("#")), 0)
-        if at and all(map(is_number, lines[at].replace(",", " ").replace(";", " ").split())):
-            at -= 1
-        header = lines[at].lstrip("#% ").rstrip()
-        mark = delimiter or next((m for m in "\t;, " if m in header), ",")
-        row = next(text_csv.reader([header], delimiter=mark, skipinitialspace=True), [])
-        comma = mark != "," and "," in lines[at + 1] and "." not in lines[at + 1]
-        names = tuple(name.strip() for name in row)
-        return cls(names, at + 1, mark, "," if comma else ".", encoding)
-
-    def options(self, convert: dict[str, Any] | None = None, **read: Any) -> dict[str, Any]:
-        """What pyarrow's readers need."""
-        given = {"column_names": self.names, "skip_rows": self.head} if self.names else {}
-        return {
-            "read_options": csv.ReadOptions(encoding=self.encoding, **given, **read),
-            "parse_options": csv.ParseOptions(delimiter=self.delimiter),
-            "convert_options": csv.ConvertOptions(decimal_point=self.decimal, **(convert or {})),
-        }
+def _options(
+    dialect: Dialect, convert: dict[str, Any] | None = None, **read: Any
+) -> dict[str, Any]:
+    """What pyarrow's readers need."""
+    given = {"column_names": dialect.names, "skip_rows": dialect.head} if dialect.names else {}
+    return {
+        "read_options": csv.ReadOptions(encoding=dialect.encoding, **given, **read),
+        "parse_options": csv.ParseOptions(delimiter=dialect.separator),
+        "convert_options": csv.ConvertOptions(
+            decimal_point=dialect.decimal, null_values=sorted(MISSING), **(convert or {})
+        ),
+    }
 
 
 @contextmanager
@@ -206,8 +176,8 @@ class TableFile(TableColumns):
         with reading(path):
             if not text:
                 return cls(path, parquet.read_schema(path))
-            dialect = Dialect.of(path, delimiter)
-            with csv.open_csv(path, **dialect.options(block_size=_BLOCK_BYTES)) as reader:
+            dialect = _dialect(path, delimiter)
+            with csv.open_csv(path, **_options(dialect, block_size=_BLOCK_BYTES)) as reader:
                 return cls(path, reader.schema, dialect)
 
     def pieces(self, numbers: Sequence[str], labels: Sequence[str] = ()) -> Iterator[Table]:
@@ -235,37 +205,21 @@ class TableFile(TableColumns):
         self, dialect: Dialect, names: Sequence[str], numbers: Sequence[str], labels: Sequence[str]
     ) -> Iterator[pa.RecordBatch]:
         """Types are those of the whole file: its begin may be whole numbers or empty."""
-        kind_of_column = {name: self.schema.field(name).type for name in numbers}
-        types = {
-            name: pa.float64()
-            for name, kind in kind_of_column.items()
-            if kinds.is_integer(kind) or kinds.is_floating(kind) or kinds.is_null(kind)
-        }
+        flags = {name for name in numbers if kinds.is_boolean(self.schema.field(name).type)}
+        types = {name: pa.float64() for name in numbers if name not in flags}
         with reading(self.path):
             for name in labels:
-                only = dialect.options({"include_columns": [name]})
+                only = _options(dialect, {"include_columns": [name]})
                 types[name] = csv.read_csv(self.path, **only).schema.field(0).type
+        convert = {"include_columns": list(names), "column_types": types}
+        options = _options(dialect, convert, block_size=_BLOCK_BYTES)
         try:
-            yield from self._text(dialect, names, types)
+            with csv.open_csv(self.path, **options) as reader:
+                yield from reader
         except pa.ArrowInvalid as error:
-            self._refuse_text(dialect, [name for name in numbers if name in types])
+            if self.path.stat().st_size <= MAX_TEXT_BYTES:  # names the line of the first bad cell
+                read_number_table(
+                    self.path, tuple(numbers), error=EstimatorError, empty_is_nan=True
+                )
             with reading(self.path):
                 raise error from None
-
-    def _refuse_text(self, dialect: Dialect, names: Sequence[str]) -> None:
-        """Name the first cell that is no number."""
-        row = 0
-        with reading(self.path):
-            texts = dict.fromkeys(names, pa.string())
-            for batch in self._text(dialect, names, texts, strings_can_be_null=True):
-                for name in names:
-                    if not all(map(is_number, batch[name].to_pylist())):
-                        Table(self.path, pa.Table.from_batches([batch]), row).numbers(name)
-                row += batch.num_rows
-
-    def _text(
-        self, dialect: Dialect, names: Sequence[str], types: dict[str, pa.DataType], **more: bool
-    ) -> Iterator[pa.RecordBatch]:
-        convert = {"include_columns": list(names), "column_types": types, **more}
-        with csv.open_csv(self.path, **dialect.options(convert, block_size=_BLOCK_BYTES)) as reader:
-            yield from reader

@@ -7,8 +7,6 @@ like headings: every usual reading of a log's headings is given, for the poses t
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, cast
@@ -21,7 +19,8 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.robots.chain import Joint, SerialChain
 from measure.robots.schema import Feature, Reading, RobotLog, StateSchema
-from measure_learning.robots.log_clock import Clock
+from measure.session import MM_PER
+from measure_learning.robots.headings import Clock, ToolHeadings, split_unit
 from measure_learning.robots.tables import Table
 
 Angles = Literal[
@@ -42,28 +41,6 @@ _EULER = {
     "staubli": ("XYZ", "about x, the moved y, the moved z"),
 }
 _QUATERNIONS = {"abb": ([1, 2, 3, 0], "w first"), "ros": ([0, 1, 2, 3], "w last")}
-_PLACES = (
-    ("x", "y", "z"),
-    ("tx", "ty", "tz"),
-    ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
-)
-_TURNED: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
-    (("qx", "qy", "qz", "qw"), ("ros",)),
-    (("orientation.x", "orientation.y", "orientation.z", "orientation.w"), ("ros",)),
-    (("q1", "q2", "q3", "q4"), ("abb", "ros")),
-    (("q0", "q1", "q2", "q3"), ("abb", "ros")),
-    (("actual_tcp_pose_3", "actual_tcp_pose_4", "actual_tcp_pose_5"), ("ur",)),
-    (("a", "b", "c"), ("kuka", "mitsubishi", "doosan")),
-    (("w", "p", "r"), ("fanuc",)),
-    (("rx", "ry", "rz"), ("ur", "yaskawa", "staubli")),
-    (("o", "a", "t"), ("kawasaki",)),
-    (("yaw", "pitch", "roll"), ("kuka",)),
-)
-"""Headings, and who writes them: the first of these are the likeliest."""
-_UNIT = re.compile(r"(.+?)(?:[\s_]+|\s*[\[(])(mm|cm|m|deg|degrees|rad|°)[\])]?", re.IGNORECASE)
-_CELL = re.compile(r"(.*?)([0-4])[_,]?([0-4])\]?")  # of a matrix, by row and column
-_NUMBERED = re.compile(r"(.*?)[\[_.]?(\d+)\]?")
-_LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1e3}
 _SLIDES, _TURNS = ("x", "y", "z"), ("rz", "ry", "rx")
 _LONGEST_M = 10.0  # from a base to a tool; numbers within are metres
 _MOST_RAD = 6.5  # of an angle; larger ones are degrees
@@ -92,76 +69,6 @@ class ToolReading:
         return RobotLog(self.schema, times_s[order], self.states[order])
 
 
-@dataclass(frozen=True)
-class _Headings:
-    """Columns of places and turns, the latter 3, 4, 9 (of a matrix) or 16 (a matrix with both)."""
-
-    place: tuple[str, ...]
-    turn: tuple[str, ...]
-    makers: tuple[str, ...]
-
-    @classmethod
-    def of(cls, there: Sequence[str]) -> _Headings | None:
-        """Those of a tool's pose, whatever stands before all of them, and units behind; or None."""
-        stems = {_split(name)[0].lower(): name for name in reversed(there)}
-        place = next((c for names in _PLACES if (c := _under_prefix(stems, names))), ())
-        if (matrix := _matrix(stems)) and (len(matrix) == 16 or place):
-            return cls(() if len(matrix) == 16 else place, matrix, ("matrix",))
-        for names, makers in _TURNED:
-            several_joints = names[0] in ("q0", "q1") and len(makers) > 1 and "q5" in stems
-            if place and not several_joints and (turn := _under_prefix(stems, names)):
-                return cls(place, turn, makers)
-        return None
-
-
-def _split(heading: str) -> tuple[str, str]:
-    """Name and unit."""
-    found = _UNIT.fullmatch(heading)
-    return (found[1], found[2].lower()) if found else (heading, "")
-
-
-def _under_prefix(stems: dict[str, str], names: Sequence[str]) -> tuple[str, ...]:
-    """Headings of all names, with the same before each; empty if there are none."""
-    for stem in sorted(stems, key=len):
-        before = stem.removesuffix(names[0])
-        if stem.endswith(names[0]) and (not before or before[-1] in "/_.:- "):
-            columns = [stems.get(before + name, "") for name in names]
-            if all(columns):
-                return tuple(columns)
-    return ()
-
-
-def _matrix(stems: dict[str, str]) -> tuple[str, ...]:
-    """Headings of a matrix, row by row: 16 of a pose, or 9 of a rotation; empty if there is none.
-
-    A pose without its last row has twelve; they are followed by four empty ones.
-    """
-    cells = dict[str, dict[tuple[int, int], str]]()
-    numbered = dict[str, dict[int, str]]()
-    for stem, name in stems.items():
-        if found := _CELL.fullmatch(stem):
-            cells.setdefault(found[1], {})[int(found[2]), int(found[3])] = name
-        if found := _NUMBERED.fullmatch(stem):
-            numbered.setdefault(found[1], {})[int(found[2])] = name
-    for held in cells.values():
-        first = min(held)[0]
-        for rows, columns in ((4, 4), (3, 4), (3, 3)):
-            at = [(first + i, first + j) for i in range(rows) for j in range(columns)]
-            if all(cell in held for cell in at):
-                last = [""] * (4 if (rows, columns) == (3, 4) else 0)
-                return (*(held[cell] for cell in at), *last)
-    for row in numbered.values():
-        first = min(row)
-        if first in (0, 1) and all(first + k in row for k in range(16)) and len(row) == 16:
-            return tuple(row[first + k] for k in range(16))
-    return ()
-
-
-def holds_tool_poses(there: Sequence[str]) -> bool:
-    """Whether headings are those of a tool's pose."""
-    return _Headings.of(there) is not None
-
-
 def read_tool_poses(
     path: Path, schema: StateSchema, angles: Angles | None = None
 ) -> list[tuple[ToolReading, RobotLog]]:
@@ -183,7 +90,7 @@ def tool_readings(
     Lengths whose headings state no unit are in m where all are below 10, else in mm; angles beyond
     6.5 are degrees, others radians or degrees. EstimatorError: no poses, or `angles` are not these.
     """
-    headings = _Headings.of(table.schema.names)
+    headings = ToolHeadings.of(table.schema.names)
     if headings is None:
         raise EstimatorError(f"{path}: holds no pose of the tool")
     makers = headings.makers
@@ -200,8 +107,8 @@ def tool_readings(
         good &= np.linalg.norm(turn, axis=1) > 0.5
     if good.sum() < 2:
         raise EstimatorError(f"{path}: holds {int(good.sum())} poses of the tool")
-    place *= _LENGTHS.get(
-        _split((headings.place or headings.turn)[0])[1],
+    place *= MM_PER.get(
+        split_unit((headings.place or headings.turn)[0])[1],
         1e3 if np.abs(place[good]).max() < _LONGEST_M else 1.0,
     )
     found, problem = list[ToolReading](), EstimatorError("")
@@ -229,7 +136,7 @@ def reading_of(path: Path, poses: RigidTransform, schema: StateSchema, words: st
     return ToolReading("ros", words, states, _schema(schema, chain))
 
 
-def _numbers(table: Table, headings: _Headings) -> tuple[Floats, Floats]:
+def _numbers(table: Table, headings: ToolHeadings) -> tuple[Floats, Floats]:
     """Places (n, 3) and turns (n, 3, 4 or 9) as they are written."""
     if len(headings.turn) < 16:
         return table.numbers(*headings.place), table.numbers(*headings.turn)
@@ -242,13 +149,13 @@ def _numbers(table: Table, headings: _Headings) -> tuple[Floats, Floats]:
     return pose[:, :3, 3].copy(), pose[:, :3, :3].reshape(-1, 9)
 
 
-def _angle_units(headings: _Headings, turn: Floats) -> list[str]:
+def _angle_units(headings: ToolHeadings, turn: Floats) -> list[str]:
     """Units that angles may be in; one without a name if they are no angles."""
     if turn.shape[1] != 3:
         return [""]
     if np.abs(turn).max() > _MOST_RAD:
         return ["deg"]
-    stated = {_split(name)[1][:3] for name in headings.turn} & {"deg", "rad", "°"}
+    stated = {split_unit(name)[1][:3] for name in headings.turn} & {"deg", "rad", "°"}
     return ["deg" if unit == "°" else unit for unit in stated] or ["rad", "deg"]
 
 

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure_learning.robots import LogFile, find_schema, read_log
-from measure_learning.robots.tool_poses import holds_tool_poses, read_tool_poses
+from measure_learning.robots.headings import ToolHeadings
+from measure_learning.robots.tool_poses import read_tool_poses
 from tests.learning.robots.test_known_robots import write_urdf
 from tests.learning.robots.test_log_formats import TIMES, UR, Bag, joints_of, tips_of, write_text
 
@@ -141,7 +142,7 @@ def test_a_tools_poses_are_read_as_they_are_written(how: str, tmp_path: Path) ->
     poses = chain.pose(3 * joints_of("ur5e"))
     columns = {"time_s": TIMES} | written(how, poses)
     write_text(tmp_path / "log.csv", ",", columns)
-    assert holds_tool_poses(list(columns))
+    assert ToolHeadings.of(list(columns))
     log = read_tool_poses(tmp_path / "log.csv", find_schema("ur5e"))[0][1]
     found = log.schema.chain.pose(log.schema.joint_positions(log.states))
     assert np.abs(found.difference(poses)).max() < 1e-5
@@ -149,7 +150,7 @@ def test_a_tools_poses_are_read_as_they_are_written(how: str, tmp_path: Path) ->
 
 
 def test_a_table_of_joints_is_none_of_tool_poses() -> None:
-    assert not holds_tool_poses(["time_s", "x_mm", "y_mm", "z_mm", *NAMES])
+    assert not ToolHeadings.of(["time_s", "x_mm", "y_mm", "z_mm", *NAMES])
 
 
 def test_a_bag_that_was_cut_off_is_read_and_named(tmp_path: Path, caplog) -> None:

@@ -93,8 +93,8 @@ def test_types_are_those_of_the_whole_file(tmp_path: Path) -> None:
     assert [label for piece in pieces for label in piece.labels("run")][299:301] == ["7", "x"]
 
 
-def test_text_among_numbers_is_named_by_its_row(tmp_path: Path) -> None:
+def test_text_among_numbers_is_named_by_its_line(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("a,b\n" + "1,2\n" * 500 + "1,N/A\n" * 2 + "1,two\n")
-    with pytest.raises(EstimatorError, match="column 'b' holds text, 'two' in row 503, where"):
+    with pytest.raises(EstimatorError, match=r"table.csv:504: b is 'two', not a number"):
         list(TableFile.open(path).pieces(("a", "b")))

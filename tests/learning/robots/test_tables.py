@@ -11,6 +11,7 @@ import pytest
 from pyarrow import parquet
 
 from measure.errors import EstimatorError
+from measure.tables import read_number_table
 from measure_learning.robots import find_schema, read_log
 from measure_learning.robots.tables import Table
 
@@ -28,7 +29,9 @@ def test_numbers_of_any_kind(tmp_path: Path) -> None:
         yes=[True, False, None],
         none=pa.nulls(3),
         shared=pa.array([2.0, 2.0, 4.0]).dictionary_encode(),
+        stamp_ns=[1_600_000_000_000_000_001, 2, 3],
     )
+    assert given.numbers("stamp_ns")[0, 0] == 1.6e18
     np.testing.assert_array_equal(
         given.numbers("whole", "single", "yes", "none", "shared"),
         [[1, 0.5, 1, np.nan, 2], [np.nan, 1.5, 0, np.nan, 2], [3, np.nan, np.nan, np.nan, 4]],
@@ -46,6 +49,30 @@ def test_numbers_of_any_kind(tmp_path: Path) -> None:
 def test_what_is_no_number(tmp_path: Path, column: list[object], message: str) -> None:
     with pytest.raises(EstimatorError, match=message):
         table(tmp_path, a=column).numbers("a")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time_s,a\n0.5,1\n1.5,-2.5\n",
+        "time_s;a\n0,5;1\n1,5;-2,5\n",
+        "time_s\ta\r\n0.5\t1\r\n1.5\t-2.5\r\n",
+        "time_s a\n0.5 1\n1.5 -2.5\n",
+        "# of a robot\n#time_s,a\n0.5,1\n1.5,-2.5\n",
+        "# of a robot\ntime_s,name,a\n0.5,x,1\n1.5,y,-2.5\n",
+        "#time_s,name,a\n0.5,x,1\n1.5,y,-2.5\n",
+        "\ntime_s, a\n0.5, 1\n\n1.5, -2.5\n",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_texts_are_read_alike_whole_and_line_by_line(
+    text: str, encoding: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "table.csv"
+    path.write_bytes(text.encode(encoding))
+    columns = read_number_table(path, ("time_s", "a")).columns
+    np.testing.assert_array_equal(np.stack([*columns.values()], axis=1), [[0.5, 1.0], [1.5, -2.5]])
+    np.testing.assert_array_equal(Table.read(path).numbers("time_s", "a"), [[0.5, 1], [1.5, -2.5]])
 
 
 def test_columns_that_are_missing_or_there_twice(tmp_path: Path) -> None:
