@@ -32,14 +32,20 @@ from measure.api.marking import MARK_KINDS, TAG_FAMILIES, Mark, Marking, MarkKin
 from measure.api.measuring import measure_bodies, measure_session
 from measure.api.mend import Mended, mend
 from measure.api.outputs import new_folder, output
-from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
+from measure.api.profiles import (
+    build_detectors,
+    build_pipeline,
+    choose,
+    load_profile,
+    profile_names,
+)
 from measure.api.refining import BodySearch, FoundBody, RefineResult, find_body, refine
 from measure.api.results import body_names, evaluate, export
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.spreading import Workers
 from measure.api.stretches import run_in_stretches
 from measure.api.synchronising import SyncedClock, sync
-from measure.calibration import Board, BoardWave, Corners, Verdict, WaveState, read_board
+from measure.calibration import Board, BoardWave, BodyWave, Corners, Verdict, WaveState, read_board
 from measure.calibration.boards import Charuco, Chessboard, MirroredBoardError
 from measure.calibration.other_boards import OtherBoard, other_board
 from measure.calibration.printing import Sheet, target_sheet
@@ -51,7 +57,7 @@ from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile, relative_measurements
 from measure.measuring.kept_rig import Keep
-from measure.model import Body, Camera, Image
+from measure.model import Body, Camera, Detection, Image, paper_body
 from measure.processes import ProgressClock
 from measure.results.evaluation import evaluation_tables
 from measure.session import (
@@ -59,6 +65,7 @@ from measure.session import (
     is_session,
     read_body,
     read_calibration,
+    read_intrinsics,
     read_trajectory,
     write_body,
     write_calibration,
@@ -66,20 +73,21 @@ from measure.session import (
 
 __all__ = [
     "MARK_KINDS", "TAG_FAMILIES", "Addition", "Board", "BoardWave", "Body", "BodySearch",
-    "Calibration", "CalibrationResult", "Camera", "Cause", "Charuco", "Chessboard", "Corners",
-    "Demo", "Finding", "FocalFrom", "FoundBody", "Image", "Keep", "Lens", "Level", "Mark",
-    "MarkKind", "Marking", "Measurement", "Mended", "MirroredBoardError", "OtherBoard", "Outcome",
-    "Pipeline", "Profile", "ProgressClock", "RefineResult", "Registry", "RigWatch",
-    "RigidTransform", "RunOptions", "Samples", "SeenPicture", "SessionCheck", "Sheet",
-    "SyncedClock", "Verdict", "WaveState", "Workers", "begin_marks", "board_frame", "board_length",
-    "body_names", "build_pipeline", "calibrate", "calibrate_by_body",
-    "calibrate_by_body_to", "calibrate_to", "check", "choose", "clicked_color",
-    "demo", "detect", "draw", "draw_target", "drawings", "evaluate", "evaluation_tables", "events",
-    "export", "find_body", "find_target", "inside", "is_session", "learnt_colors",
-    "load_profile", "mark_event",
-    "measure_bodies", "measure_session", "mend", "new_folder", "other_board", "output",
-    "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board", "read_body",
-    "read_calibration", "read_trajectory", "refine", "relative_measurements", "render_demo", "run",
-    "run_in_stretches", "run_many", "sampled_color", "search_bodies", "shipped_targets", "sync",
-    "target_sheet", "write_body", "write_calibration", "write_measured_board", "write_sampled_body",
+    "BodyWave", "Calibration", "CalibrationResult", "Camera", "Cause", "Charuco", "Chessboard",
+    "Corners", "Demo", "Detection", "Finding", "FocalFrom", "FoundBody", "Image", "Keep",
+    "Lens", "Level", "Mark", "MarkKind", "Marking", "Measurement", "Mended",
+    "MirroredBoardError", "OtherBoard", "Outcome", "Pipeline", "Profile", "ProgressClock",
+    "RefineResult", "Registry", "RigWatch", "RigidTransform", "RunOptions", "Samples",
+    "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "Workers",
+    "begin_marks", "board_frame", "board_length", "body_names", "build_detectors",
+    "build_pipeline", "calibrate", "calibrate_by_body", "calibrate_by_body_to", "calibrate_to",
+    "check", "choose", "clicked_color", "demo", "detect", "draw", "draw_target", "drawings",
+    "evaluate", "evaluation_tables", "events", "export", "find_body", "find_target", "inside",
+    "is_session", "learnt_colors", "load_profile", "mark_event", "measure_bodies",
+    "measure_session", "mend", "new_folder", "other_board", "output", "paper_body",
+    "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
+    "read_body", "read_calibration", "read_intrinsics", "read_trajectory", "refine",
+    "relative_measurements", "render_demo", "run", "run_in_stretches", "run_many",
+    "sampled_color", "search_bodies", "shipped_targets", "sync", "target_sheet", "write_body",
+    "write_calibration", "write_measured_board", "write_sampled_body",
 ]  # fmt: skip

@@ -1,4 +1,5 @@
 from measure.calibration.boards import Board, Charuco, Chessboard, Corners
+from measure.calibration.by_body.waving import BodyWave
 from measure.calibration.capture import Capture, open_capture
 from measure.calibration.extrinsics import fit_rig
 from measure.calibration.intrinsics import calibrate_lens
@@ -18,10 +19,10 @@ from measure.calibration.views import choose_views, find_views
 from measure.calibration.waving import BoardWave, WaveState
 
 __all__ = [
-    "JOINT", "Board", "BoardWave", "Capture", "Charuco", "Chessboard", "Corners", "MarkerField",
-    "RefineSettings", "RefinedRig", "RigCalibration", "Sheet", "Verdict", "WaveState",
-    "calibrate_capture", "calibrate_lens", "camera_rows", "choose_views", "find_markers",
-    "find_views", "fit_rig", "judge", "judge_refinement", "judgement_lines", "open_capture",
-    "provenance", "read_board", "refine_measured", "refine_rig", "rough_cameras", "target_sheet",
-    "write_sheet",
+    "JOINT", "Board", "BoardWave", "BodyWave", "Capture", "Charuco", "Chessboard", "Corners",
+    "MarkerField", "RefineSettings", "RefinedRig", "RigCalibration", "Sheet", "Verdict",
+    "WaveState", "calibrate_capture", "calibrate_lens", "camera_rows", "choose_views",
+    "find_markers", "find_views", "fit_rig", "judge", "judge_refinement", "judgement_lines",
+    "open_capture", "provenance", "read_board", "refine_measured", "refine_rig",
+    "rough_cameras", "target_sheet", "write_sheet",
 ]  # fmt: skip

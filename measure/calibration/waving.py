@@ -30,7 +30,7 @@ _SLOW_S = 1.0  # A computer that looks less often than this is reported: hands w
 _CLOSER_LOOKS = 10  # In succession without the board, after which another one is looked for
 _UNSEEN_LOOKS = 30  # In succession, before it is asked whether the board is the one that was chosen
 _FIT_EVERY = 4  # Instants after which the cameras are fitted again
-_FEWEST, _COMMON = 8, 4  # Views of a camera, and of two neighbours, from which the fit may decide
+_FEWEST, COMMON = 8, 4  # Views of a camera, and of two neighbours, from which the fit may decide
 _TILTED_DEG, _TILTS, _DISTANCES = 20.0, 4, 1.3
 _ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
 
@@ -185,7 +185,7 @@ class BoardWave:
         self, cameras: Mapping[str, CameraWave], pairs: Mapping[tuple[str, str], int]
     ) -> tuple[str, ...]:
         """What to do next, the most useful first."""
-        lacks = [*_advice(cameras), *_unconnected(list(cameras), pairs)]
+        lacks = advice_of(cameras, pairs)
         if not lacks:
             lacks = [self._problem or "every camera: show the board in other places and tilts"]
         if self._other:
@@ -220,7 +220,7 @@ class BoardWave:
         return any(self._is_unlike({name: outlines[name]}) for name in outlines) or any(
             self._is_unlike({name: outlines[name] for name in pair})
             for pair in combinations(outlines, 2)
-            if sum({*pair} <= {*kept} for kept in self._outlines) < _COMMON
+            if sum({*pair} <= {*kept} for kept in self._outlines) < COMMON
         )
 
     def _is_unlike(self, outlines: Mapping[str, Floats]) -> bool:
@@ -307,32 +307,39 @@ def _at_once(cameras: Mapping[str, CameraWave], period_s: float) -> list[str]:
     return out
 
 
-def _advice(cameras: Mapping[str, CameraWave]) -> list[str]:
-    """What each camera lacks, the one with the fewest views first."""
+def advice_of(
+    cameras: Mapping[str, CameraWave], pairs: Mapping[tuple[str, str], int], what: str = "board"
+) -> list[str]:
+    """What each camera lacks, the one with the fewest views first; then what connects them."""
     out = []
     for name, seen in sorted(cameras.items(), key=lambda item: item[1].views):
         row, column = np.unravel_index(int(np.argmin(seen.cells)), seen.cells.shape)
         if not seen.views:
-            out += [f"{name}: show the board to this camera"] if seen.now is Now.NOTHING else []
+            out += [f"{name}: show the {what} to this camera"] if seen.now is Now.NOTHING else []
         elif not seen.cells[row, column]:
-            out.append(f"{name}: show the board at the {_ROWS[row]} {_COLUMNS[column]}")
+            out.append(f"{name}: show the {what} at the {_ROWS[row]} {_COLUMNS[column]}")
         elif seen.tilts < _TILTS:
-            out.append(f"{name}: tilt the board more")
+            out.append(f"{name}: tilt the {what} more")
         elif seen.distances < _DISTANCES:
-            out.append(f"{name}: hold the board nearer and farther away")
+            out.append(f"{name}: hold the {what} nearer and farther away")
         elif seen.views < _FEWEST:
-            out.append(f"{name}: show the board in more places")
-    return out
+            out.append(f"{name}: show the {what} in more places")
+    return out + [
+        f"{' and '.join(pair)}: show the {what} to both at once"
+        for pair in _unconnected(list(cameras), pairs)
+    ]
 
 
-def _unconnected(names: Sequence[str], pairs: Mapping[tuple[str, str], int]) -> list[str]:
-    """Which cameras share too few views with those that hang together."""
+def _unconnected(
+    names: Sequence[str], pairs: Mapping[tuple[str, str], int]
+) -> list[tuple[str, str]]:
+    """The pairs that share too few views, by which cameras come to those that hang together."""
     reached, waiting, out = {*names[:1]}, {*names[1:]}, []
     while waiting:
         bridges = [pair for pair in pairs if len(reached & {*pair}) == 1]
         best = max(bridges, key=lambda pair: pairs[pair])
-        if pairs[best] < _COMMON:
-            out.append(f"{' and '.join(best)}: show the board to both at once")
+        if pairs[best] < COMMON:
+            out.append(best)
         reached |= {*best}
         waiting -= reached
     return out

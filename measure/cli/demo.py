@@ -23,12 +23,14 @@ class _PageOptions:
     Attributes:
         studio: try the set-up page with rendered cameras.
         board: the waved board: `charuco_8x5_27` or `chessboard_9x6_25`.
+        no_board: wave the body itself instead of a board.
         port: of the set-up page; 0 for any that is free.
         browser: open the set-up page in a browser.
     """
 
     studio: bool = False
     board: str = "charuco_8x5_27"
+    no_board: Annotated[bool, Parameter(negative="")] = False
     port: int = 8080
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True
 
@@ -51,7 +53,8 @@ def demo(
 
     With `--studio` four rendered cameras are served to the set-up page instead, on a new folder in
     `--out`: a board is waved before them until the folder has a calibration, then it lies still
-    until that has a world (or a body), then the body moves. It runs until interrupted (Ctrl-C).
+    until that has a world (or a body), then the body moves. With `--no-board` the body is waved,
+    and the page calibrates by it. It runs until interrupted (Ctrl-C).
 
     Args:
         out: folder for the session and the run.
@@ -60,7 +63,8 @@ def demo(
     """
     if page.studio:
         serve = load_command("studio")
-        serve(out, port=page.port, browser=page.browser, rendered=page.board, registry=registry)
+        waved = "body" if page.no_board else page.board
+        serve(out, port=page.port, browser=page.browser, rendered=waved, registry=registry)
         return
     chosen = api.load_profile(profile)
     with console.progress("rendering and measuring", "steps") as report:

@@ -88,19 +88,26 @@ def refuse_open(cameras: Sequence[Camera], recording: Recording, most: float = 1
 
     `most` says how many times worse than needed they may be known as yet.
     """
-    known = {}
-    for camera in cameras:
-        covariance = camera.intrinsics.covariance
-        if covariance is not None:
-            known[camera.name] = float(np.sqrt(covariance[0, 0])) / camera.intrinsics.focal_px
-    worst = max(known, key=lambda name: known[name])
-    if known[worst] > most * _MAX_FOCAL_SD:
+    worst = max(cameras, key=_focal_sd)
+    if _focal_sd(worst) > most * _MAX_FOCAL_SD:
         raise CalibrationError(
-            f"this motion leaves the lenses open: the focal length of {worst} is known to "
-            f"{known[worst]:.1%} only, and {_MAX_FOCAL_SD:.0%} is needed: "
-            f"{_missing(next(c for c in cameras if c.name == worst), recording)}; or give the "
-            "lenses with --lenses"
+            f"this motion leaves the lenses open: the focal length of {worst.name} is known to "
+            f"{_focal_sd(worst):.1%} only, and {_MAX_FOCAL_SD:.0%} is needed: "
+            f"{_missing(worst, recording)}; or give the lenses with --lenses"
         )
+
+
+def motion_lacks(cameras: Sequence[Camera], recording: Recording) -> str:
+    """What the motion lacks for the focal length that it leaves open; empty if it leaves none."""
+    worst = max(cameras, key=_focal_sd)
+    return _missing(worst, recording) if _focal_sd(worst) > _MAX_FOCAL_SD else ""
+
+
+def _focal_sd(camera: Camera) -> float:
+    """The standard deviation of a focal length, as a share of it; 0 if the lens is known."""
+    if (covariance := camera.intrinsics.covariance) is None:
+        return 0.0
+    return float(np.sqrt(covariance[0, 0])) / camera.intrinsics.focal_px
 
 
 def _missing(camera: Camera, recording: Recording) -> str:

@@ -6,7 +6,7 @@ import glob
 import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -18,15 +18,24 @@ from measure import api
 from measure.api.outputs import check_folder, new_folder
 from measure.arrays import Bytes, Floats
 from measure.errors import ConfigError
-from measure.model import Image, paper_body
+from measure.host import Detector
+from measure.model import Detection, Image, paper_body
 from measure.session import dump_toml, read_body
-from measure_studio.api.recording import CaptureOptions, OpenRig, open_rig, sources_of
-from measure_studio.capture import CameraAddress, Gathering, check_names
+from measure_studio.api.recording import (
+    SESSION,
+    CaptureOptions,
+    OpenRig,
+    new_recorder,
+    open_rig,
+    sources_of,
+)
+from measure_studio.capture import CameraAddress, Gathering, Recorder, check_names
 
 _MARK = "capture.toml"
 _MIRRORED: Literal["mirrored"] = "mirrored"
 _QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 98)
 
+OnBalls = Callable[[Sequence[Image], Mapping[str, Sequence[Detection]]], None]
 OnCorners = Callable[[Sequence[Image], Mapping[str, Floats]], None]
 
 
@@ -101,6 +110,89 @@ def _wave(
                 wave.look_closer([_gray(image) for image in images])
             state = wave.state()
             on_state(state)
+            if state.enough:
+                rig.stop()
+    return state
+
+
+def capture_body(
+    cameras: Sequence[CameraAddress],
+    out: Path,
+    registry: api.Registry,
+    options: CaptureOptions | None = None,
+    *,
+    body: Path | None = None,
+    lenses: Path | None = None,
+    goal_mm: float = 0.2,
+    on_state: Callable[[api.WaveState], None] = lambda _: None,
+    on_balls: OnBalls = lambda _images, _balls: None,
+) -> api.WaveState | None:
+    """Record a body that is waved, until its pictures are enough to calibrate the cameras by it.
+
+    Args:
+        out: the session; it names the body, and no calibration.
+        options: how cameras are read; it ends when pictures are enough, too.
+        body: the paper's three balls if omitted.
+        lenses: calibration of the cameras' lenses; they are unknown if it is omitted.
+        goal_mm: expected error of the body's position (standard deviation) that is good enough.
+        on_state: called after every frame set that was looked at.
+        on_balls: called before with the pictures, and what may be balls in each camera's.
+
+    Returns:
+        How far the pictures suffice; None if no picture came.
+
+    Raises:
+        MeasureError: what is wrong with cameras, lenses, body or folder.
+    """
+    options, names = options or CaptureOptions(), [one.name for one in cameras]
+    options.check()
+    check_folder(out, options.overwrite, SESSION)
+    check_names(names)
+    measured = paper_body() if body is None else read_body(body)
+    known = None if lenses is None else api.read_intrinsics(lenses)
+    if known is not None and (missing := [name for name in names if name not in known]):
+        raise ConfigError(f"{lenses} has no lens of {', '.join(missing)}")
+    wave = api.BodyWave(measured, {}, known, goal_mm)
+    with open_rig(sources_of(cameras, [], options.request), [], options) as opened:
+        recorder = new_recorder(out, opened, [measured], api.Calibration(()), "")
+        with recorder, ThreadPoolExecutor(1) as locating:
+            state = _wave_body(opened, wave, recorder, registry, locating, on_state, on_balls)
+            opened.cameras.wait()  # what is counted is to be in the folder
+    return state
+
+
+def _wave_body(
+    opened: OpenRig,
+    wave: api.BodyWave,
+    recorder: Recorder,
+    registry: api.Registry,
+    locating: Executor,
+    on_state: Callable[[api.WaveState], None],
+    on_balls: OnBalls,
+) -> api.WaveState | None:
+    """Record, and look at frame sets as fast as this computer can."""
+    state, rig, located = None, opened.cameras, None
+    names = list(rig.addresses)
+    gathering, profile = Gathering(names, on_read=rig.note_read), api.load_profile()
+    detectors: dict[str, Detector] = {}
+
+    def search(image: Image) -> Sequence[Detection]:
+        return detectors[image.camera].detect(image, ())
+
+    over = opened.begin(recorder.add, gathering.add)
+    with ThreadPoolExecutor(len(names)) as pool:
+        for one in gathering.frame_sets(over, rig.check):
+            images = [*one.images.values()]
+            wave.sizes_wh.update((i.camera, i.pixels.shape[1::-1]) for i in images)
+            for name in wave.sizes_wh.keys() - detectors.keys():
+                there = [api.Camera(name, wave.lens(name), api.RigidTransform.identity())]
+                detectors |= api.build_detectors(profile, registry, wave.body, there)
+            seen = dict(zip(one.images, pool.map(search, images), strict=True))
+            on_balls(images, seen)
+            wave.add(seen, one.time_s)
+            if wave.wants_locating and (located is None or located.done()):
+                located = locating.submit(wave.locate)
+            on_state(state := wave.state())
             if state.enough:
                 rig.stop()
     return state

@@ -302,14 +302,14 @@ class BallWatch:
                     ]
                     if self._stop.is_set():
                         return
-                    self._preview.note_balls(image, _best(found))
+                    self._preview.note_balls(image, best_balls(found))
                 # A first search that compiled for minutes is no reason to rest as long.
                 took_s = min(time.monotonic() - begun, RETRY_S)
                 if self._stop.wait(took_s * (1 / SEARCH_SHARE - 1)):
                     return
 
 
-def _best(found: Iterable[Detection]) -> list[Detection]:
+def best_balls(found: Iterable[Detection]) -> list[Detection]:
     """The best of each ball, and of those that lie in one place."""
     best = {one.ball: one for one in sorted(found, key=lambda one: one.score)}
     kept = list[Detection]()

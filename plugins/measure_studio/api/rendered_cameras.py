@@ -1,4 +1,4 @@
-"""Rendered cameras to try the set-up page with: a board is waved, then lies, then a body moves."""
+"""Rendered cameras to try the set-up page with: a board or a body is waved, then a body moves."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -25,11 +26,18 @@ from measure_studio.api.playing_cameras import PictureReel, Screening
 from measure_studio.api.rig_folder import next_free
 from measure_studio.capture import serve_cameras
 
+if TYPE_CHECKING:
+    from measure.simulation.scene import Scene
+
 DEMO_BOARDS = ("charuco_8x5_27", "chessboard_9x6_25")
+WAVED_BODY = "body"
+"""In place of a board: the body itself is waved."""
 _RATE_HZ = 10.0
 _HELD_S, _HELD_LOOKS = 1.2, 4.0
 """How long a board is held still, at least: as a person waits for a computer that looks seldom."""
 _BODY_TICKS = 80  # Pictures of the body's motion, there; it comes back the same way
+_WAVED_TICKS, _WAVED_MM, _WAVED_MM_S, _WAVED_RAD_S = 160, (150.0, 150.0, 100.0), 200.0, 1.5
+"""The same of the body while it is waved: how far it goes, and how fast it goes and turns."""
 _RAYS = 16  # Through a pixel that an edge crosses: a board needs no more
 _PX_PER_MM = 8.0  # Of the printed board
 
@@ -41,11 +49,12 @@ def demo_cameras(
     """Serve four rendered cameras that show what the newest rig folder needs next.
 
     The board is waved until the folder has a calibration, lies still until that has a world,
-    and then a body moves. Pictures are rendered once and kept in `folder`.
+    and then a body moves. Without a board the body is waved until there is a calibration. Pictures
+    are rendered once and kept in `folder`.
 
     Args:
         folder: of the demonstration; the rig's folder is a new one in it.
-        board: name of one of `DEMO_BOARDS`.
+        board: name of one of `DEMO_BOARDS`, or `WAVED_BODY`.
 
     Yields:
         The rig's folder, and the cameras' addresses by name.
@@ -53,13 +62,13 @@ def demo_cameras(
     Raises:
         ConfigError: there is no such board.
     """
-    if board not in DEMO_BOARDS:
+    if board not in (*DEMO_BOARDS, WAVED_BODY):
         raise ConfigError(f"--board {board}: expected one of {', '.join(DEMO_BOARDS)}")
     acts = _rendered(folder / "rendered", board, progress)
     desk = folder / next_free(folder, "rig")
     desk.mkdir(parents=True)
     with ExitStack() as stack:
-        held = _held_ticks(acts["waved"], board)
+        held = _held_ticks(acts["waved"], board) if board != WAVED_BODY else 0
         reels = {
             act: _reel(act, stack.enter_context(open_streams(acts[act])), held) for act in acts
         }
@@ -95,7 +104,9 @@ class _HeldStage:
 
     def _watch(self) -> None:
         while not self.over.wait(0.5):
-            if (act := _act_of(self._desk)) != self._act:
+            act = _act_of(self._desk)
+            act = act if act in self._reels else "body"
+            if act != self._act:
                 before, self._act = self._shown, act
                 self._shown = Screening(self._reels[act])
                 before.over.set()
@@ -116,7 +127,7 @@ def _reel(act: str, streams: Mapping[str, object], held_ticks: int) -> PictureRe
     """When which picture is shown; a scene at rest has two pictures, which take turns."""
     some = dict(streams)
     size = min(len(one) for one in some.values())  # type: ignore[arg-type]
-    if act == "body":
+    if act == "body" or not held_ticks:
         places = [*range(size), *range(size - 2, 0, -1)]
     else:
         places = [2 * (k // 2) + t % 2 for k in range(0, size, 2) for t in range(held_ticks)]
@@ -126,19 +137,25 @@ def _reel(act: str, streams: Mapping[str, object], held_ticks: int) -> PictureRe
 
 def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
     """The sessions of all acts, rendered if they are not there."""
-    from measure.simulation import write_session
-    from measure.simulation.catalogue import WORKSPACE_MM, webcam_scene
+    from measure.simulation.trajectory import MotionLimits
+
+    from measure.simulation.catalogue import WORKSPACE_MM, motion, webcam_scene
     from measure_studio.api.held_boards import held_poses
 
     scene = webcam_scene()
+    if board == WAVED_BODY:
+        far = MotionLimits(_WAVED_MM, speed_mm_s=_WAVED_MM_S, turn_rad_s=_WAVED_RAD_S)
+        moved = {
+            "waved": (replace(scene, trajectory=motion(scene.seed, far)), _WAVED_TICKS),
+            "body": (scene, _BODY_TICKS),
+        }
+        return _rendered_bodies(folder, moved, progress)
     points = api.read_board(api.shipped_targets()[board]).points
     waved = held_poses(scene.cameras, points, WORKSPACE_MM)
     flat = RigidTransform.from_rotvec([np.pi, 0, 0])
     lying = replace(flat, translation=WORKSPACE_MM - (0, 0, 40) - flat.rotate(points.mean(axis=0)))
-    acts = {act: folder / f"{act}-{board}" for act in ("waved", "lying")} | {
-        "body": folder / "body"
-    }
-    number, total = count(1), len(scene.cameras) * (2 * len(waved) + 2 + _BODY_TICKS)
+    acts = {act: folder / f"{act}-{board}" for act in ("waved", "lying")}
+    number, total = count(1), len(scene.cameras) * (2 * len(waved) + 2)
 
     def step(*_: object) -> None:
         progress(next(number), total)
@@ -146,8 +163,19 @@ def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
     for act, poses in (("waved", waved), ("lying", [lying])):
         if not (acts[act] / "session.toml").is_file():
             _write_board(acts[act], board, poses, step)
-    if not (acts["body"] / "session.toml").is_file():
-        write_session(scene, np.arange(_BODY_TICKS) / _RATE_HZ, acts["body"], progress=step)
+    return acts | _rendered_bodies(folder, {"body": (scene, _BODY_TICKS)}, progress)
+
+
+def _rendered_bodies(
+    folder: Path, moved: Mapping[str, tuple[Scene, int]], progress: Progress
+) -> dict[str, Path]:
+    """The sessions of scenes in which a body moves for so many pictures."""
+    from measure.simulation import write_session
+
+    acts = {act: folder / (act if act == "body" else f"{act}-body") for act in moved}
+    for act, (scene, ticks) in moved.items():
+        if not (acts[act] / "session.toml").is_file():
+            write_session(scene, np.arange(ticks) / _RATE_HZ, acts[act], progress=progress)
     return acts
 
 

@@ -40,7 +40,8 @@ def studio(
         port: to listen on; 0 for any that is free.
         browser: open the page in a browser.
         host: address to listen on.
-        rendered: instead of cameras, rendered ones that wave this board, on a new folder.
+        rendered: instead of cameras, rendered ones that wave this board (or "body", that), on a
+            new folder.
     """
     if find_spec("nicegui") is None:
         raise ConfigError("the page needs NiceGUI: pip install 'triball[studio]'")
@@ -57,7 +58,8 @@ def studio(
                 made = stack.enter_context(api.demo_cameras(folder, rendered, report))
             folder, addresses = made
             cameras = tuple(f"{name}={address}" for name, address in addresses.items())
-            console.note(
-                f"{folder}: choose the board {rendered} in step Calibration; Ctrl-C ends it"
-            )
+            waved = "press Wave the body"
+            if rendered != api.WAVED_BODY:
+                waved = f"choose the board {rendered}"
+            console.note(f"{folder}: {waved} in step Calibration; Ctrl-C ends it")
         serve(folder, registry, cameras, capture.request(), (host, port), capture.seconds, tell)

@@ -373,9 +373,10 @@ class Bench:
         capture: Path,
         hear: Callable[[api.CalibrationResult, Path], None],
         body: Path | None = None,
+        lenses: Path | None = None,
     ) -> None:
-        """Calibrate by a capture; `hear` gets what was found, and its report."""
-        work = partial(self.calibrated, capture=capture, hear=hear, body=body)
+        """Calibrate by a capture, or a waved body; `hear` gets what was found, and its report."""
+        work = partial(self.calibrated, capture=capture, hear=hear, body=body, lenses=lenses)
         self.begin(f"calibrating by {capture.name}", work)
 
     def calibrated(
@@ -384,11 +385,18 @@ class Bench:
         capture: Path,
         hear: Callable[[api.CalibrationResult, Path], None],
         body: Path | None = None,
+        lenses: Path | None = None,
     ) -> str:
         """The same as part of a job."""
         job.title, out = f"calibrating by {capture.name}", self.folder / CALIBRATION
         before = out.read_bytes() if out.is_file() else None
-        found = api.calibrate_to(out, capture, body=body, progress=job.progress, overwrite=True)
+        progress = job.progress
+        if api.is_session(capture):
+            found = api.calibrate_by_body_to(
+                out, capture, body, self.registry, lenses, progress, overwrite=True
+            )
+        else:
+            found = api.calibrate_to(out, capture, body=body, progress=progress, overwrite=True)
         self.keep(out, before, "the calibration")
         hear(*found)
         return f"{capture.name} gave {CALIBRATION}"

@@ -34,6 +34,7 @@ from measure_studio.page.layout import (
     undo,
 )
 
+_BODY = "body.toml"  # In the folder, where no body is chosen
 _FINEST_MM = 0.01
 _ADVISED = 2  # Pieces of advice that are shown at a time: hands follow no more
 
@@ -49,6 +50,7 @@ class _Wave:
     result: api.CalibrationResult | None = None
     report: Path | None = None
     is_waved: bool = False
+    what: str = "board"  # that is waved
     suffices: bool = False  # whether whoever waves has had enough
 
     def take(self, body: Path | None, waits: bool = False) -> None:
@@ -58,7 +60,7 @@ class _Wave:
         def work(job: Job) -> str:
             out = bench.folder / studio_api.next_free(bench.folder, "capture")
             self.capture, self.state, self.result = out, None, None
-            self.is_waved, self.suffices = True, False
+            self.is_waved, self.suffices, self.what = True, False, "board"
             try:
                 last = studio_api.capture_board(
                     cameras,
@@ -84,6 +86,52 @@ class _Wave:
 
         bench.begin("watching the board", work, needs_cameras=True, waits=waits)
 
+    def take_body(self, body: Path | None, lenses: Path | None) -> None:
+        """Record the waved body until that is enough, and calibrate by it.
+
+        Where no body is chosen it is the paper's, which is then written to the folder.
+        """
+        bench, cameras = self.bench, self.bench.addresses()
+
+        def work(job: Job) -> str:
+            out = bench.folder / studio_api.next_free(bench.folder, "waved")
+            self.capture, self.state, self.result = out, None, None
+            self.is_waved, self.suffices, self.what = True, False, "body"
+            last = None
+            try:
+                last = studio_api.capture_body(
+                    cameras,
+                    out,
+                    bench.registry,
+                    studio_api.CaptureOptions(
+                        bench.request, on_image=bench.preview.add, stop=job.stop
+                    ),
+                    body=body,
+                    lenses=lenses,
+                    goal_mm=self.goal_mm,
+                    on_state=partial(setattr, self, "state"),
+                    on_balls=self._see_balls,
+                )
+            finally:
+                self.is_waved = False
+                if last is None or not (last.enough or self.suffices):
+                    rmtree(out, ignore_errors=True)
+                    self.capture = None
+            if self.capture is None:
+                return "stopped: the waving was not enough, and is not kept"
+            said = bench.calibrated(job, out, self._hear, body, lenses)
+            if body is None and not (bench.folder / _BODY).is_file():
+                api.write_body(bench.folder / _BODY, api.paper_body())
+            return said
+
+        bench.begin("watching the body", work, needs_cameras=True)
+
+    def _see_balls(
+        self, images: Sequence[api.Image], balls: Mapping[str, Sequence[api.Detection]]
+    ) -> None:
+        for image in images:
+            self.bench.preview.note_balls(image, studio_api.best_balls(balls[image.camera]))
+
     def take_other(self, body: Path | None) -> str:
         """Take the board that is seen, in place of the chosen one, and wave on.
 
@@ -105,12 +153,12 @@ class _Wave:
         self.suffices = True
         self.bench.stop()
 
-    def calibrate(self, body: Path | None) -> None:
+    def calibrate(self, body: Path | None, lenses: Path | None) -> None:
         """Calibrate by the newest pictures."""
         capture = self.capture or max(self.bench.folder.glob("capture-*"), default=None)
         if capture is None:
             raise ConfigError("there are no pictures of a board yet: wave it first")
-        self.bench.calibrate(capture, self._hear, body)
+        self.bench.calibrate(capture, self._hear, body, lenses)
 
     def _see(self, images: Sequence[api.Image], corners: Mapping[str, overlays.Floats]) -> None:
         for image in images:
@@ -137,7 +185,7 @@ class _Wave:
         if not self.is_waved:
             return ""
         if self.state is None:
-            return "show the board to the cameras"
+            return f"show the {self.what} to the cameras"
         return "\n".join(self.state.advice[:_ADVISED])
 
     def reached(self) -> str:
@@ -150,13 +198,13 @@ class _Wave:
         return f"expected error at the body {mm:.3f} mm; goal {goal_mm:g} mm"
 
     def seen_by(self, name: str) -> str:
-        """What a camera has seen of the board, in a line."""
+        """What a camera has seen of what is waved, in a line."""
         if self.state is None or not (seen := self.state.cameras.get(name)) or not seen.views:
             return name
         return f"{name}: {_pictures(seen.views)}, {seen.tilts} of them tilted"
 
     def drawn_over(self, name: str) -> str:
-        """Where a camera has seen the board."""
+        """Where a camera has seen it."""
         facts = self.bench.preview.facts(name)
         seen = self.state.cameras.get(name) if self.state is not None and self.is_waved else None
         if seen is None or facts is None:
@@ -182,43 +230,49 @@ def add(bench: Bench) -> None:
             with ui.column().classes("still") as still:
                 intro(
                     "Glue the printed board to something flat, and wave it slowly where you will "
-                    "measure: tilted, near and far, two cameras seeing it at a time.",
+                    "measure: tilted, near and far, two cameras seeing it at a time. No board? "
+                    "Wave the body, if the places of its balls are known.",
                     drawings.waving(),
                 )
                 _judgement(bench, wave)
                 choose_board(bench)
-            _progress(bench, wave, lambda: _one(bench, body))
+            _progress(bench, wave, lambda: _one(bench, body), lambda: _one(bench, lenses))
             camera_pictures(bench, wave.seen_by, wave.drawn_over).classes("watched")
-            body = _more(bench, wave)
+            body, lenses = _more(bench, wave)
         # Who waves looks at the pictures, from afar.
         kept_so(0.4, lambda: still.set_visibility(not wave.is_waved))
 
 
-def _more(bench: Bench, wave: _Wave) -> ui.select:
-    """What is seldom changed; gives the choice of the body that is to be measured."""
+def _more(bench: Bench, wave: _Wave) -> tuple[ui.select, ui.select]:
+    """What is seldom changed; gives the choices of the body, and of lenses that are known."""
+    there = studio_api.contents_of(bench.folder)
     more = details("More: the accuracy asked for, and pictures that are there already")
     with more, ui.row().classes("line"):
-        body = choice("Body to be measured", bench, studio_api.contents_of(bench.folder).bodies)
+        body = choice("Body to be measured, or waved", bench, there.bodies)
+        lenses = choice("Lenses known from, for a waved body", bench, there.calibrations)
         goal = ui.number("Error at the body that is small enough, mm", min=0.001, step=0.01)
         goal.bind_value(wave, "goal_mm").classes("field")
-        by_newest = partial(_calibrate, bench, wave, body)
+        by_newest = partial(_calibrate, bench, wave, body, lenses)
         act("Calibrate by the newest pictures", "tune", by_newest)
-    return body
+    return body, lenses
 
 
-def _calibrate(bench: Bench, wave: _Wave, body: ui.select) -> None:
-    wave.calibrate(_one(bench, body))
+def _calibrate(bench: Bench, wave: _Wave, body: ui.select, lenses: ui.select) -> None:
+    wave.calibrate(_one(bench, body), _one(bench, lenses))
 
 
 def _one(bench: Bench, body: ui.select) -> Path | None:
     return next(iter(chosen(bench, body)), None)
 
 
-def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> None:
-    """The button that begins, and what to do next while the board is waved."""
+def _progress(
+    bench: Bench, wave: _Wave, body: Callable[[], Path | None], lenses: Callable[[], Path | None]
+) -> None:
+    """The buttons that begin, and what to do next while the board or the body is waved."""
     with ui.row().classes("line"):
         live_label(wave.advice, "figure lines", "data-advice")
         begin = act("Wave the board", "waving_hand", lambda: wave.take(body()), primary=True)
+        by_body = act("Wave the body", "sports_handball", lambda: wave.take_body(body(), lenses()))
         enough = act("Enough for me", "done", wave.end, primary=True)
         other = act("Take the board that is seen", "swap_horiz", lambda: wave.take_other(body()))
         undo(bench, lambda: bench.folder / CALIBRATION, lambda: setattr(wave, "result", None))
@@ -229,6 +283,7 @@ def _progress(bench: Bench, wave: _Wave, body: Callable[[], Path | None]) -> Non
 
     def show() -> None:
         begin.set_visibility(not bench.busy)
+        by_body.set_visibility(not bench.busy)
         enough.set_visibility(wave.is_waved and wave.can_calibrate)
         seen = wave.state.other if wave.is_waved and wave.state is not None else None
         other.set_visibility(seen is not None and seen.board is not None)
@@ -247,7 +302,9 @@ def _judgement(bench: Bench, wave: _Wave) -> None:
 
     def show() -> None:
         shown.set_visibility(wave.result is not None and not wave.is_waved)
-        if wave.result is not None:
+        if wave.result is None:
+            headline.text = ""
+        else:
             verdict = wave.result.verdict
             headline.text = _headline(verdict)
             put(headline, "wrong", not verdict.trustworthy)

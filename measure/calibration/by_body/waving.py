@@ -1,0 +1,168 @@
+"""A body that is waved to calibrate cameras: what to do next, and whether that is enough."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from measure.arrays import Floats, rms_length
+from measure.calibration.by_body.adjustment import adjusted, recording_of_links, shape_of
+from measure.calibration.by_body.lenses import link_by_focal_lengths, motion_lacks, usual_lens
+from measure.calibration.by_body.linking import Instant, link
+from measure.calibration.by_body.single_view import View, body_poses
+from measure.calibration.findings import workspace_of
+from measure.calibration.refining.recording import ball_places
+from measure.calibration.waving import COMMON, CameraWave, Now, WaveState, advice_of
+from measure.errors import CalibrationError, DegenerateGeometryError
+from measure.estimation.expected_accuracy import body_pose_sd
+from measure.geometry import RigidTransform
+from measure.model import Body, Detection, Intrinsics
+
+_FIT_EVERY = 10  # Instants after which the cameras are located anew
+_NEW_SHARE = 0.03  # Share of the diagonal by which a view differs from those that are kept
+_TILTED_DEG = 20.0  # From how the body was held in the first picture that showed all of it
+
+
+@dataclass(frozen=True, eq=False)
+class _Sighting:
+    """The body in one picture, by an ordinary lens if its own is unknown."""
+
+    pixels: Floats  # (k, 2) where all its balls are
+    distance_mm: float
+    camera_from_body: RigidTransform
+
+
+@dataclass
+class BodyWave:
+    """Takes what cameras see of a body at instants, and keeps what adds something."""
+
+    body: Body
+    sizes_wh: dict[str, tuple[int, int]]  # of the pictures, by camera
+    lenses: Mapping[str, Intrinsics] | None = None  # None if they are unknown
+    goal_mm: float = 0.2  # expected error of the body's position that is good enough
+    kept: list[Instant] = field(default_factory=list)
+    _seen: list[dict[str, _Sighting]] = field(default_factory=list)  # At what is kept
+    _now: dict[str, Now] = field(default_factory=dict)
+    _located: int = 0  # Instants by which the cameras were located last
+    _sd_mm: float = np.nan
+    _problem: str = ""  # Why the cameras cannot be located, or what their lenses need
+
+    def add(self, detections: Mapping[str, Sequence[Detection]], time_s: float) -> bool:
+        """Take what may be balls at one instant, by camera, and say whether it is kept.
+
+        It is if a camera sees the body where it did not before, or two cameras with few common
+        instants see it together.
+        """
+        found = {name: self._sighting(name, some) for name, some in detections.items()}
+        seen = {name: one for name, one in found.items() if one is not None}
+        self._now = dict.fromkeys(seen, Now.SEEN)
+        if not self._is_new(seen):
+            return False
+        self.kept.append(Instant(time_s, detections))
+        self._seen.append(seen)
+        return True
+
+    @property
+    def wants_locating(self) -> bool:
+        """Whether so much was added that `locate` is worth its time."""
+        return len(self.kept) >= self._located + _FIT_EVERY
+
+    def locate(self) -> None:
+        """Locate the cameras by what is kept, and say how well; it takes some seconds."""
+        instants = list(self.kept)
+        self._located = len(instants)
+        self._sd_mm, self._problem = self._expected_mm(instants)
+
+    def state(self) -> WaveState:
+        """How far it is."""
+        cameras = {name: self._camera(name) for name in self.sizes_wh}
+        pairs = {pair: sum({*pair} <= {*one} for one in self._seen) for pair in _pairs(cameras)}
+        state = WaveState(cameras, pairs, self._sd_mm, self.goal_mm, ())
+        if state.enough:
+            return state
+        problem = [self._problem] if self._problem else []
+        lacks = [*problem, *advice_of(cameras, pairs, "body")]
+        lacks = lacks or ["every camera: carry the body to other places, and turn it"]
+        return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, tuple(lacks))
+
+    def _sighting(self, name: str, detections: Sequence[Detection]) -> _Sighting | None:
+        """The body by the pose on which the picture agrees best; None if it is not seen whole."""
+        lens = self.lens(name)
+        poses = body_poses(View.of(detections, self.body, lens), self.body)
+        if not poses:
+            return None
+        places = poses[0].apply(self.body.centers)
+        distance_mm = float(np.linalg.norm(places.mean(axis=0)))
+        return _Sighting(lens.project(places), distance_mm, poses[0])
+
+    def lens(self, name: str) -> Intrinsics:
+        """The lens of a camera whose pictures came; a usual one if it is unknown."""
+        return usual_lens(self.sizes_wh[name]) if self.lenses is None else self.lenses[name]
+
+    def _is_new(self, seen: Mapping[str, _Sighting]) -> bool:
+        few = [pair for pair in _pairs(seen) if self._common(pair) < COMMON]
+        return any(self._is_unlike({name: seen[name]}) for name in seen) or any(
+            self._is_unlike({name: seen[name] for name in pair}) for pair in few
+        )
+
+    def _common(self, pair: tuple[str, str]) -> int:
+        return sum({*pair} <= {*one} for one in self._seen)
+
+    def _is_unlike(self, seen: Mapping[str, _Sighting]) -> bool:
+        """Whether one camera sees it elsewhere than at each instant that all of them shared."""
+        least = {name: _NEW_SHARE * float(np.hypot(*self.sizes_wh[name])) for name in seen}
+        return all(
+            any(rms_length(at.pixels - one[name].pixels) > least[name] for name, at in seen.items())
+            for one in self._seen
+            if {*seen} <= {*one}
+        )
+
+    def _camera(self, name: str) -> CameraWave:
+        width, height = self.sizes_wh[name]
+        own = [one[name] for one in self._seen if name in one]
+        pixels = np.concatenate([np.zeros((0, 2)), *(one.pixels for one in own)])
+        cells = np.histogram2d(pixels[:, 1], pixels[:, 0], bins=3, range=((0, height), (0, width)))[
+            0
+        ]
+        far = np.array([one.distance_mm for one in own])
+        turns = [one.camera_from_body @ own[0].camera_from_body.inverse() for one in own]
+        turned = [np.degrees(np.linalg.norm(turn.rotvec)) > _TILTED_DEG for turn in turns]
+        return CameraWave(
+            len(own),
+            cells,
+            int(np.sum(turned)),
+            float(far.max() / far.min()) if own else np.nan,
+            np.nan,
+            self._now.get(name, Now.NOTHING),
+        )
+
+    def _expected_mm(self, instants: Sequence[Instant]) -> tuple[float, str]:
+        """The expected error of the body; NaN, and why, where cameras cannot be located yet."""
+        lenses, body = {name: self.lens(name) for name in self.sizes_wh}, self.body
+        try:
+            by = link if self.lenses is not None else link_by_focal_lengths
+            linked = by(lenses, body, instants)
+            recording = recording_of_links(linked, body)
+            try:
+                refinement = adjusted(linked.cameras, body, recording)
+            except CalibrationError:
+                return float("nan"), ""  # more instants make a better start
+            if self.lenses is None and (lacks := motion_lacks(refinement.cameras, recording)):
+                return float("nan"), lacks
+            shape = shape_of(refinement, body, recording)
+            around = ball_places(recording.world_from_body, body.centers)
+            poses = [
+                RigidTransform(np.eye(3), place)
+                for place in workspace_of(shape.cameras, around).grid()
+            ]
+            sd_mm = body_pose_sd(shape.cameras, body, poses, shape.joint)[0]
+            return rms_length(sd_mm[:, None]), ""
+        except (CalibrationError, DegenerateGeometryError) as problem:
+            return float("nan"), str(problem)
+
+
+def _pairs(names: Mapping[str, object]) -> list[tuple[str, str]]:
+    return list(combinations(names, 2))
