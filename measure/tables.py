@@ -101,8 +101,8 @@ class Dialect:
         Lines that begin with # stand before the header; the last is the header, if numbers follow.
         """
         lines = [*text.splitlines(), "", ""]
-        told = (i for i, line in enumerate(lines) if line.strip() and not line.startswith("#"))
-        if at := next(told, 0):
+        content = (i for i, line in enumerate(lines) if line.strip() and not line.startswith("#"))
+        if at := next(content, 0):
             cells = re.split("[,;\t ]+", lines[at].strip())
             mark = separator or _separator(lines[at - 1])
             alike = mark != " " and lines[at].count(mark) == lines[at - 1].count(mark) > 0
