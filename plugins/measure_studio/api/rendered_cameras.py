@@ -137,9 +137,8 @@ def _reel(act: str, streams: Mapping[str, object], held_ticks: int) -> PictureRe
 
 def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
     """The sessions of all acts, rendered if they are not there."""
-    from measure.simulation.trajectory import MotionLimits
-
     from measure.simulation.catalogue import WORKSPACE_MM, motion, webcam_scene
+    from measure.simulation.scene import MotionLimits
     from measure_studio.api.held_boards import held_poses
 
     scene = webcam_scene()
