@@ -26,7 +26,7 @@ from measure.arrays import Floats
 from measure.host import Correction
 from measure_learning import api
 from measure_learning.core import EstimateClient, EstimateServer, StatePacket
-from measure_learning.core.datagrams import claim_realtime
+from measure_learning.core.server import claim_realtime
 from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import simulate
 

@@ -29,7 +29,7 @@ from measure_learning.core.registration import (
     register,
     register_stops,
 )
-from measure_learning.core.stops import Stops
+from measure_learning.core.sightings import Stops
 
 ALPHA_DEG = np.array([0.0, 90, 0, 0, 90, -90])
 A_MM = np.array([0.0, 0, -425.0, -392.2, 0, 0])

@@ -22,7 +22,7 @@ from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure_learning import api
 from measure_learning.core import DriftMonitor, LabelKind, simulated_dataset
-from measure_learning.core.offline import rezero
+from measure_learning.core.correction import rezero
 from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import Cables
 

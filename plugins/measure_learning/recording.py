@@ -13,7 +13,7 @@ from measure.viewing import entities
 from measure.viewing.blueprint import LEGEND, framed, plot, up_to_cursor
 from measure.viewing.entities import FrameSetBatch
 from measure.viewing.scene import log_lines
-from measure_learning.core.offline import RobotTraces
+from measure_learning.core.correction import RobotTraces
 
 KINDS = {"reported": (207, 75, 75), "measured": (61, 139, 212), "corrected": (79, 163, 90)}
 

@@ -11,8 +11,7 @@ from benchmarks.faults.packets import KINDS, difference_mm, flood_of
 from measure.host import Correction
 from measure_learning.api import shipped_model
 from measure_learning.core import AnswerPacket, EstimateClient, EstimateServer, StatePacket
-from measure_learning.core.datagrams import Lanes
-from measure_learning.core.server import MOST_SENDERS
+from measure_learning.core.server import MOST_SENDERS, Lanes
 from measure_learning.onnx import OnnxModel
 from measure_learning.simulator import simulate
 
@@ -33,7 +32,7 @@ def test_no_datagram_of_others_moves_a_correction():
 
 def test_a_flood_leaves_room_for_the_robot(monkeypatch):
     """Its states wait in a queue of their own, and come before all that came earlier."""
-    monkeypatch.setattr("measure_learning.core.datagrams._BUFFER_BYTES", 1 << 14)
+    monkeypatch.setattr("measure_learning.core.server._BUFFER_BYTES", 1 << 14)
     server = EstimateServer(OnnxModel.load(shipped_model()), ("127.0.0.1", 0))
     robot = EstimateClient(server.address, timeout_s=0.5)
     states = simulate(1.0, 5).states

@@ -17,7 +17,7 @@ from measure.errors import EstimatorError, PluginError
 from measure.host import Dataset, Estimator, Registry
 from measure.host.interfaces import quiet
 from measure_learning.core import EstimateServer, StatePacket, TruePacket, evaluate, files, join
-from measure_learning.core.datagrams import AnswerPacket
+from measure_learning.core.server import AnswerPacket
 from measure_learning.onnx import OnnxEstimator, OnnxModel
 from tests.strangers import Install
 

@@ -13,7 +13,7 @@ from measure.errors import EstimatorError, FitError
 from measure.host import Estimator, Registry
 from measure.host.interfaces import quiet
 from measure_learning.core import Split
-from measure_learning.core.fitting import fit
+from measure_learning.core.scores import fit
 from measure_learning.estimators.offset import OffsetEstimator
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")

@@ -11,7 +11,7 @@ from measure.cli import main
 from measure.host import Correction, Estimator, Registry
 from measure.host.interfaces import quiet
 from measure_learning.core import EstimateServer, OffsetFollower, Refusal, Split, TruePacket
-from measure_learning.core.datagrams import AnswerPacket, StatePacket
+from measure_learning.core.server import AnswerPacket, StatePacket
 from measure_learning.onnx import OnnxModel
 from measure_learning.robots import find_schema
 from measure_learning.robots.tables import Table

@@ -12,7 +12,7 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.robots import RobotLog
 from measure_learning.core import AssemblySettings, PoseTrack, assemble
-from measure_learning.core.labels import LabelFacts
+from measure_learning.core.causes import LabelFacts
 
 SLIP = RigidTransform.from_rotvec(np.deg2rad([6.0, -8.0, 0.0]), [30.0, 30.0, 26.5])
 
@@ -61,6 +61,20 @@ def test_a_tool_offset_is_refused_with_the_cure(pair: tuple[PoseTrack, RobotLog]
         assemble([(off, log)])
 
 
+def test_a_turned_world_and_a_tool_offset_are_both_named(pair: tuple[PoseTrack, RobotLog]) -> None:
+    track, log = pair
+    turn = ur5e().pose(
+        np.stack([np.interp(track.times_s, log.times_s, q) for q in log.states[:, :6].T], 1)
+    )
+    off = SLIP.apply(track.positions_mm + turn.rotation @ np.array([0.0, 40.0, 20.0]))
+    words = (
+        r"a world turned by (9\.9|10\.\d) deg and shifted by (49|50)\.\d mm and a tool offset of "
+        r"\(-?0\.\d, (39|40)\.\d, (19|20)\.\d\) mm explain them but for 0\.\d+ mm"
+    )
+    with pytest.raises(EstimatorError, match=words):
+        assemble([(replace(track, positions_mm=off), log)])
+
+
 def test_a_given_clock_that_is_off_is_refused(pair: tuple[PoseTrack, RobotLog]) -> None:
     with pytest.raises(EstimatorError, match=r"a clock that is \+(79|80)\.\d ms off explains them"):
         assemble([pair], AssemblySettings(clock_offset_s=-0.08))
@@ -92,7 +106,7 @@ def test_a_scale_and_a_jump_of_the_cameras_are_named(pair: tuple[PoseTrack, Robo
     places, middle = track.positions_mm, track.positions_mm.mean(axis=0)
     late = track.times_s > track.times_s[0] + 22.0
     for moved, said in (
-        (middle + 1.01 * (places - middle), r"are not all the robot's .* 1\.01\d\d times as"),
+        (middle + 1.01 * (places - middle), r"are not all the robot's .* 1\.010\d times as"),
         (places + np.outer(late, [3.0, 4.0, 0.0]), r"base, moved by [45]\.\d mm .*after apart"),
     ):
         with pytest.raises(EstimatorError, match=said):

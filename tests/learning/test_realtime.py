@@ -12,13 +12,13 @@ import pytest
 
 from benchmarks import online
 from measure_learning import api
-from measure_learning.core import datagrams
+from measure_learning.core import server
 from measure_learning.simulator import simulate
 
 
 def test_real_time_is_had_or_refused_in_one_line() -> None:
     """In a process of its own: what it asks for stays."""
-    words = "import os; from measure_learning.core.datagrams import claim_realtime as claim; "
+    words = "import os; from measure_learning.core.server import claim_realtime as claim; "
     words += "print(claim()); print(os.sched_getscheduler(0) == os.SCHED_FIFO)"
     done = subprocess.run(
         [sys.executable, "-c", words], capture_output=True, text=True, check=True, timeout=120
@@ -39,8 +39,8 @@ def test_missing_rights_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
             return -1
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    monkeypatch.setattr(datagrams.ctypes, "CDLL", Libc)
-    line = datagrams.claim_realtime()
+    monkeypatch.setattr(server.ctypes, "CDLL", Libc)
+    line = server.claim_realtime()
     assert "refuses priority (Operation not permitted) and locked memory (" in line
     assert "rtprio 10 and memlock unlimited" in line
 

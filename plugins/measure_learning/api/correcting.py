@@ -166,7 +166,7 @@ def estimate_online(
 ) -> EstimateServer:
     """Answer states by UDP until the time is over or the process is interrupted."""
     from measure_learning import core as learning
-    from measure_learning.core.datagrams import claim_realtime
+    from measure_learning.core.server import claim_realtime
 
     if seconds is not None and not seconds >= 0:
         raise ConfigError(f"--seconds {seconds:g}: expected a number that is not negative")
@@ -228,7 +228,7 @@ def robot_recording(
         frame: where the robot is, by `register`; its base is the cameras' world if omitted.
         clock_offset_s: robot minus camera time; estimated from the motion if absent.
     """
-    from measure_learning.core.offline import robot_traces
+    from measure_learning.core.correction import robot_traces
     from measure_learning.recording import write_robot_recording
 
     path = run / "robot.rrd"

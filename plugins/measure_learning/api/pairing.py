@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from measure_learning.core import AssemblySettings, PoseTrack, TrajectoryFacts
     from measure_learning.core.frames import RobotFrame
     from measure_learning.core.registration import RegisterOptions
-    from measure_learning.core.stops import Stops
+    from measure_learning.core.sightings import Stops
     from measure_learning.robots import StateLog
 
 _log = logging.getLogger(__name__)
@@ -142,7 +142,7 @@ def _labelled(tables: Sequence[Path], schema: StateSchema, as_it_is: bool) -> Da
     import numpy as np
 
     from measure_learning.core import files, join
-    from measure_learning.core.labels import check_labels, label_doubts
+    from measure_learning.core.causes import check_labels, label_doubts
 
     bare = [path for path in tables if path.is_dir() or not files.has_labels(path)]
     if bare:
@@ -346,7 +346,7 @@ def _stops(path: Path, schema: StateSchema, options: RegisterOptions) -> tuple[S
     """The stops of a table, and the schema of their states."""
     from measure_learning.core.files import read_stops
     from measure_learning.core.registration import choose_reading, stops_apart_deg
-    from measure_learning.core.stops import pairs_in_table
+    from measure_learning.core.sightings import pairs_in_table
 
     track, states = read_stops(path, schema, options.angles, eye_in_hand=options.eye_in_hand)
     track = track.inverted() if options.eye_in_hand else track
@@ -367,7 +367,7 @@ def _logs_or_tool_poses(
     options: RegisterOptions,
 ) -> list[StateLog]:
     """The robot's logs; those that hold the tool's pose and no joints become pairs of poses."""
-    from measure_learning.core.stops import is_sparse
+    from measure_learning.core.sightings import is_sparse
     from measure_learning.robots.headings import ToolHeadings
     from measure_learning.robots.logs import is_table, of_instants
     from measure_learning.robots.tables import TableFile

@@ -13,7 +13,7 @@ from measure.errors import ConfigError
 from measure.host import Dataset
 from measure_learning import api as learning_api
 from measure_learning.core import AssemblySettings, TrajectoryFacts
-from measure_learning.core.labels import LabelFacts
+from measure_learning.core.causes import LabelFacts
 
 
 def dataset(

@@ -3,28 +3,38 @@
 from measure_learning.core import files, sweeping
 from measure_learning.core.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble
 from measure_learning.core.clock import estimate_offset
-from measure_learning.core.datagrams import AnswerPacket, StatePacket, TruePacket
-from measure_learning.core.guard import Counters, GuardedModel, Refusal
-from measure_learning.core.offline import correct_file, follower_of, read_states, rezero
+from measure_learning.core.correction import (
+    Counters,
+    GuardedModel,
+    Refusal,
+    correct_file,
+    follower_of,
+    read_states,
+    rezero,
+)
 from measure_learning.core.offsets import DriftMonitor, OffsetFollower, Zeroing, fit_zeroing
 from measure_learning.core.recalibration import choose_poses
 from measure_learning.core.scores import (
     EstimatorEvaluation,
     Importance,
     Score,
+    Split,
     ablate,
     evaluate,
     field_groups,
-)
-from measure_learning.core.server import EstimateClient, EstimateServer
-from measure_learning.core.simulated import PAPER_MINUTES, PAPER_PAIRS, LabelKind, simulated_dataset
-from measure_learning.core.splits import (
-    Split,
     join,
     same_robot,
     split_as_trained,
     split_by_trajectory,
 )
+from measure_learning.core.server import (
+    AnswerPacket,
+    EstimateClient,
+    EstimateServer,
+    StatePacket,
+    TruePacket,
+)
+from measure_learning.core.simulated import PAPER_MINUTES, PAPER_PAIRS, LabelKind, simulated_dataset
 from measure_learning.core.sweeping import SweepState
 from measure_learning.core.training import Trained, train
 

@@ -14,9 +14,8 @@ from measure.geometry import RigidTransform
 from measure.geometry.covariance import MAD_TO_SD, inverted
 from measure.host import Dataset, Turns
 from measure.metrology.poses import PoseTable
-from measure.robots import StateSchema
-from measure_learning.core.clock import ClockOffset, estimate_offset
-from measure_learning.core.labels import (
+from measure.robots import SerialChain, StateSchema
+from measure_learning.core.causes import (
     check_frames,
     check_labels,
     check_turns,
@@ -24,7 +23,8 @@ from measure_learning.core.labels import (
     label_doubts,
     not_the_tip,
 )
-from measure_learning.core.splits import join
+from measure_learning.core.clock import ClockOffset, estimate_offset
+from measure_learning.core.scores import join
 from measure_learning.onnx.rotation import LEVER_MM, turn_errors
 from measure_learning.robots import StateLog
 
@@ -209,10 +209,12 @@ def _assemble_one(
     turns = _turns(track, log.schema, states, row_of_pose, judged, settings)
     check_frames(track.name, positions[judged], reported[judged])
     given = clock is None and bool(np.all(np.diff(times) > 0))
-    velocity = np.gradient(reported, times, axis=0)[judged] if given else None
-    doubts = label_doubts(
-        log.schema, states[judged], errors[judged], velocity, times[judged] - offset
-    )
+    rates = None
+    if given:
+        chain = log.schema.chain
+        path = unwrapped(chain, log.schema.joint_positions(states)) if chain else reported
+        rates = np.gradient(path, times, axis=0)[judged]
+    doubts = label_doubts(log.schema, states[judged], errors[judged], rates, times[judged] - offset)
     check_labels(track.name, doubts, as_it_is=settings.as_it_is)
     kept = marks.kept
     trajectory, names = _cut(track.name, times[kept], settings.cut_s)
@@ -370,6 +372,12 @@ def interpolate(log: CompleteStates, at: Floats, longest_gap_s: float) -> tuple[
     weights = np.stack([-start, 1 - rise - end, rise + start, end], axis=1)
     nearest = np.minimum(np.abs(at - before), np.abs(after - at))
     return np.einsum("nk,nkf->nf", weights, states), nearest <= longest_gap_s
+
+
+def unwrapped(chain: SerialChain, joints: Floats) -> Floats:
+    """Joints (n, joints) one after the other in time, angles without jumps by a turn."""
+    turning = np.array([not joint.prismatic for joint in chain.joints])
+    return np.where(turning, np.unwrap(joints, axis=0), joints)
 
 
 def check_rate(name: str, log: CompleteStates) -> None:

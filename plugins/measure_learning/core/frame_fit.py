@@ -11,19 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from measure.arrays import Bools, Floats, Ints, rms_length
-from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
+from measure.arrays import Bools, Floats, rms_length
+from measure.geometry import RigidTransform, chi_square_quantile, propagate
 from measure.geometry.covariance import posterior_covariance, squared_mahalanobis, undetermined
 from measure.limits import LEVER_MM, MAX_STEPS
-from measure.metrology.poses import PoseTable, SharedErrors, independent_count
-from measure.robots import SerialChain
+from measure.metrology.poses import independent_count
 from measure_learning.core.clock import MIN_KEPT_SHARE
-from measure_learning.core.turns import leave_one_open, nearest_rotation, turn_products, turn_starts
-from measure_learning.robots.links import LinkEffects, link_jacobian, usual_sd, with_link_errors
+from measure_learning.core.robot_model import FRAMES, LinearModel, RobotState, Sightings
+from measure_learning.robots.links import LinkEffects, usual_sd
 
-FRAMES = 12
-"""Parameters of both frames: world_from_base, then body_from_flange, each as `perturb` has them."""
 _OUTLIER_SDS = 6.0
 _EXACT_S = 1e-7  # SD of a clock that is given
 _UNKNOWN_MM, _UNKNOWN_RAD, _UNKNOWN_S = 1e3, 2.0, 1.0
@@ -36,61 +34,11 @@ _LEAST_SINGULAR = 1e-2  # of shifts, over the largest: turns by 1 deg may be noi
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
-    """Poses of all recordings, and what the robot reports at their instants."""
+class FrameFit(RobotState):
+    """What is fitted, and how well it is known; links are zero where they are only counted."""
 
-    poses: PoseTable  # n of them
-    recording: Ints  # (n,) which of the recordings, from 0 on
-    reported_mm: Floats  # (n, 3) the flange
-    joints: Floats  # (n, joints) of the chain
-    rates: Floats  # (n, joints) their change per second; without a chain (n, 3), of the flange
-    chain: SerialChain | None
-    shared: tuple[SharedErrors | None, ...]  # of each recording; errors are independent if None
-    clocks_known: bool = False
-    apart: bool = False  # stops: what is left of one says nothing of that of the next
-
-    @property
-    def links(self) -> int:
-        """Number of links' errors."""
-        return 6 * self.chain.size if self.chain else 0
-
-    def take(self, rows: Ints | Bools | slice) -> Sightings:
-        """Some of them."""
-        by_row = ("recording", "reported_mm", "joints", "rates")
-        taken = {name: getattr(self, name)[rows] for name in by_row}
-        return replace(self, poses=self.poses.take(rows), **taken)
-
-    def hand(self) -> RigidTransform:
-        """base_from_flange (n) as reported; without a chain it does not turn."""
-        turns = np.eye(3) if self.chain is None else self.chain.pose(self.joints).rotation
-        return RigidTransform(turns, self.reported_mm)
-
-    def flange(self, links: Floats, clocks_s: Floats) -> tuple[RigidTransform, Floats, Floats]:
-        """base_from_flange (n), and its change by a second (n, 6) and by the links (n, 6, links).
-
-        Without a chain it does not turn.
-        """
-        late = clocks_s[self.recording, None] * self.rates
-        if self.chain is None:
-            twist = np.concatenate([self.rates, np.zeros_like(self.rates)], axis=1)
-            moved = RigidTransform(np.eye(3), self.reported_mm + late)
-            return moved, twist, np.zeros((len(late), 6, 0))
-        bent, q = with_link_errors(self.chain, links), self.joints + late
-        pose = bent.pose(q)
-        place = pose.translation + self.reported_mm - self.chain.tip_mm(self.joints)
-        twist = np.einsum("nij,nj->ni", bent.jacobian(q), self.rates)
-        return RigidTransform(pose.rotation, place), twist, link_jacobian(bent, q)
-
-
-@dataclass(frozen=True, eq=False)
-class FrameFit:
-    """What is fitted, and how well it is known."""
-
-    world_from_base: RigidTransform
-    body_from_flange: RigidTransform
-    clocks_s: Floats  # (recordings,) what is to be added to the offsets of the sightings
-    links: Floats  # (links,) errors, mm and rad; zero where they are only counted
-    link_sd: Floats  # (links,) of these before anything is fitted
+    link_sd: Floats = field(default_factory=lambda: np.zeros(0))
+    """(links,) of the links before anything is fitted."""
     noise: float = 1.0  # variance of what is left, over what the poses state
     share: float = 1.0  # of the poses that are independent: slack and bending last for a while
     # (m, m) of the frames, the clocks and, if they are fitted, the links.
@@ -125,13 +73,12 @@ def fit_frames(seen: Sightings, *, kinematics: bool) -> FrameFit:
 
     Poses that disagree by six standard deviations are left out: `kept` has the others.
     """
-    count, links = len(seen.shared), seen.links
     kept = best_stops(seen) if seen.apart else np.ones(len(seen.poses), dtype=bool)
     frames = _closed_form(seen.take(kept))
     for _ in range(_ROUNDS):
         some = seen.take(kept)
-        fit = FrameFit(*frames, np.zeros(count), np.zeros(links), usual_sd(links))
-        fit = _with_links(fit, some)
+        start = FrameFit.nominal(some, *frames)
+        fit = _with_links(replace(start, link_sd=usual_sd(seen.links)), some)
         fit = replace(fit, share=1.0 if seen.apart else _share(fit, some))
         good = agree(fit, seen, kept)
         if np.array_equal(good, kept):
@@ -197,61 +144,6 @@ def best_stops(seen: Sightings) -> Bools:
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class LinearModel:
-    """The model near a fit, of n poses with m residuals each."""
-
-    residuals: Floats  # (n, m) measured minus modelled
-    slopes: (
-        Floats  # (n, m, parameters) of the model: world_from_base, body_from_flange, clocks, links
-    )
-    by_pose: Floats  # (n, m, 6) of the residuals
-    covariances: Floats  # (n, m, m) as the poses state
-
-    @classmethod
-    def of(cls, fit: FrameFit, seen: Sightings) -> LinearModel:
-        """Linearise."""
-        base, flange, poses = fit.world_from_base, fit.body_from_flange, seen.poses.world_from_body
-        reported, twist, by_links = seen.flange(fit.links, fit.clocks_s)
-        hand = base @ reported
-        R, n, clocks = base.rotation, len(seen.poses), FRAMES + len(seen.shared)
-        S = np.zeros((n, 6, clocks + seen.links))
-        E = np.broadcast_to(np.eye(6), (n, 6, 6)).copy()
-        if seen.chain:
-            model = hand @ flange.inverse()
-            r = poses.difference(model)
-            lever = model.translation - hand.translation
-            S[:, :3, 6:9] = S[:, 3:, 9:12] = -model.rotation
-            S[:, :3, 9:12] = -model.rotation @ skew(flange.translation)
-        else:  # the reported point, as the cameras see it
-            model, lever = hand, np.zeros((n, 3))
-            r = poses.apply(np.broadcast_to(flange.translation, (n, 3))) - hand.translation
-            S[:, :3, 6:9] = -poses.rotation
-            E = E[:, :3]
-            E[:, :, 3:] = -skew(poses.rotation @ flange.translation)
-        S[:, :, :6] = np.eye(6)
-        S[:, :3, 3:6] = -skew(model.translation - base.translation)
-        by_hand = np.kron(np.eye(2), R)[None].repeat(n, axis=0)
-        by_hand[:, :3, 3:] = -skew(lever) @ R
-        S[:, :, clocks:] = by_hand @ by_links
-        timed = np.einsum("nab,nb->na", by_hand, twist)
-        S[np.arange(n), :, FRAMES + seen.recording] = timed
-        size = E.shape[1]
-        return cls(r, S[:, :size], E, propagate(E, seen.poses.covariances))
-
-    @property
-    def white(self) -> Floats:
-        """Residuals (n, m) over what the poses state."""
-        roots = np.linalg.cholesky(self.covariances)
-        return np.asarray(np.linalg.solve(roots, self.residuals[..., None])[..., 0])
-
-    def normal(self, extra: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
-        """S' W (n, p, m), and its sums with slopes S and residuals; W allows for `extra` noise."""
-        weighted = np.swapaxes(np.linalg.solve(self.covariances + extra, self.slopes), 1, 2)
-        matrix = np.einsum("npm,nmk->pk", weighted, self.slopes, optimize=True)
-        return weighted, matrix, np.einsum("npm,nm->p", weighted, self.residuals)
-
-
 def _with_links(fit: FrameFit, seen: Sightings) -> FrameFit:
     """Everything at once; the links' standard deviations and the noise as well."""
     known = precision(seen, fit.link_sd)[: FRAMES + len(seen.shared)]
@@ -261,7 +153,8 @@ def _with_links(fit: FrameFit, seen: Sightings) -> FrameFit:
         _, N, g = near.normal()
         squares = float(squared_mahalanobis(near.residuals, near.covariances).sum())
         found = found.solved((N, g, squares, near.residuals.size), known, fit.links, fit.share)
-        fit = replace(_moved(fit, seen, found.step), link_sd=found.link_sd, noise=found.noise)
+        fit = fit.moved(near.split(found.step))
+        fit = replace(fit, link_sd=found.link_sd, noise=found.noise)
         if step > 1 and np.all(np.abs(found.step) < 0.01 * np.sqrt(np.diag(found.covariance))):
             break
     return fit
@@ -275,10 +168,9 @@ def _without_links(fit: FrameFit, seen: Sightings) -> FrameFit:
     for _ in range(MAX_STEPS):
         near = LinearModel.of(fitted, seen)
         weighted, N, g = near.normal(_spread(near, fit))
-        x = np.zeros(N.shape[0])
         inverse = posterior_covariance(N[:free, :free], known)
-        x[:free] = inverse @ g[:free]
-        fitted = _moved(fitted, seen, x)
+        x = inverse @ g[:free]
+        fitted = fitted.moved(near.split(x))
         if np.abs(x).max() < 1e-6:
             break
     by_links = (inverse @ N[:free])[:, free:] * fit.link_sd
@@ -296,7 +188,7 @@ def _spread(near: LinearModel, fit: FrameFit) -> Floats:
     Few residuals say little of it themselves: the frames are fitted to them.
     """
     n = len(near.residuals)
-    links = near.slopes[:, :, near.slopes.shape[2] - len(fit.links) :] * fit.link_sd
+    links = near.blocks["links"] * fit.link_sd
     model = np.einsum("nak,nbk->ab", links, links) / n
     few = near.slopes.shape[2] ** 2 / n  # so many of the model's count beside n that are seen
     return np.asarray((near.residuals.T @ near.residuals + few * model) / (n + few))
@@ -334,21 +226,15 @@ def _of_noise(gains: Floats, near: LinearModel, fit: FrameFit, seen: Sightings) 
 
 
 def precision(seen: Sightings, link_sd: Floats) -> Floats:
-    """What is known beforehand of every parameter: next to nothing, but of links."""
-    frames = np.resize([_UNKNOWN_MM] * 3 + [_UNKNOWN_RAD] * 3, FRAMES)
-    clocks = np.full(len(seen.shared), _EXACT_S if seen.clocks_known else _UNKNOWN_S)
-    return np.asarray(np.concatenate([frames, clocks, link_sd]) ** -2.0)
+    """Inverse variances of all parameters beforehand."""
+    return np.concatenate(list(priors(seen, link_sd).values()))
 
 
-def _moved(fit: FrameFit, seen: Sightings, x: Floats) -> FrameFit:
-    clocks = FRAMES + len(seen.shared)
-    return replace(
-        fit,
-        world_from_base=fit.world_from_base.perturb(x[:6]),
-        body_from_flange=fit.body_from_flange.perturb(x[6:FRAMES]),
-        clocks_s=fit.clocks_s + x[FRAMES:clocks],
-        links=fit.links + x[clocks:],
-    )
+def priors(seen: Sightings, link_sd: Floats) -> dict[str, Floats]:
+    """Inverse variances of every block beforehand: next to nothing is known, but of links."""
+    frame = np.repeat([_UNKNOWN_MM, _UNKNOWN_RAD], 3) ** -2.0
+    clocks = np.full(len(seen.shared), (_EXACT_S if seen.clocks_known else _UNKNOWN_S) ** -2.0)
+    return {"frame": frame, "tool": frame, "delay": clocks, "links": link_sd**-2.0}
 
 
 def _closed_form(seen: Sightings) -> tuple[RigidTransform, RigidTransform]:
@@ -400,3 +286,57 @@ def turns_agree(seen: Sightings) -> float:
     """1 where some base and flange bring all rotations together, less where none does."""
     K = turn_products(seen.hand().rotation, seen.poses.world_from_body.rotation)
     return float(np.linalg.norm(K, 2))
+
+
+_TURN_STEPS = 12
+_TOLERANCE_RAD = 0.02  # up to which solutions are as good
+_STARTS = 24  # rotations that are tried where the closed form leaves one open
+_ALIKE = 0.98  # ratio of two singular values, from which there are several solutions
+
+
+def align_turns(hand: Floats, pose: Floats) -> tuple[Floats, Floats, float]:
+    """Rotations world_from_base and body_from_flange, of base_from_flange and world_from_body.
+
+    Those are (n, 3, 3); last the angle, rad RMS, by which they miss each other.
+    """
+    return min(turn_starts(hand, pose), key=lambda found: found[2])
+
+
+def turn_starts(hand: Floats, pose: Floats) -> list[tuple[Floats, Floats, float]]:
+    """What `align_turns` returns: once, or several that are as good, if the turns leave one open.
+
+    So they do if all are about one axis, or if there are none.
+    """
+    K = turn_products(hand, pose)
+    u, sizes, v = np.linalg.svd(K)
+    pairs = [(nearest_rotation(u[:, 0]), nearest_rotation(v[0]))]
+    if sizes[1] > _ALIKE * sizes[0]:
+        turns = Rotation.random(_STARTS, rng=0).as_matrix()
+        pairs += [(turn, np.eye(3)) for turn in turns]
+    out = []
+    for base, flange in pairs:
+        for _ in range(_TURN_STEPS if len(pairs) > 1 else 0):
+            flange = nearest_rotation(K.T @ base.T.ravel())
+            base = nearest_rotation(K @ flange.T.ravel())
+        agreed = float(base.T.ravel() @ K @ flange.T.ravel())
+        out.append((base, flange, float(np.sqrt(max(0.0, 3 - agreed)))))
+    best = min(found[2] for found in out)
+    return [found for found in out if found[2] < best + _TOLERANCE_RAD]
+
+
+def leave_one_open(hand: Floats, pose: Floats) -> bool:
+    """Whether the turns are about one axis, or none, so that many rotations do as well."""
+    sizes = np.linalg.svd(turn_products(hand, pose), compute_uv=False)
+    return bool(sizes[1] > _ALIKE * sizes[0])
+
+
+def turn_products(hand: Floats, pose: Floats) -> Floats:
+    """With vec by columns, vec(R_base) = (R_hand x R_pose) vec(R_flange): their mean (9, 9)."""
+    return np.asarray(np.einsum("nab,ncd->acbd", hand, pose).reshape(9, 9) / len(hand))
+
+
+def nearest_rotation(columns: Floats) -> Floats:
+    """Of a matrix (9,) by columns, of any size and sign."""
+    matrix = columns.reshape(3, 3).T
+    u, _, v = np.linalg.svd(matrix * np.sign(np.linalg.det(matrix)))
+    return np.asarray(u @ v)

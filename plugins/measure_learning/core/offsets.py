@@ -9,6 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats, floats
 from measure.errors import EstimatorError
+from measure.estimation.blocks import fit_blocks
 from measure.host import Correction
 from measure.limits import FEWEST, HUBER_SIGMAS
 from measure.robots import SerialChain, StateSchema
@@ -206,19 +207,14 @@ def _levers(chain: SerialChain, motion: Floats) -> Floats:
 
 def _regression(design: Floats, residuals: Floats, share: float) -> tuple[Floats, Floats]:
     """Unknowns and their covariance; every observation counts as that share of one."""
-    prior = np.eye(design.shape[2])
-    found: Floats = np.zeros(len(prior))
-    covariance: Floats = np.zeros(prior.shape)
+    left, known = residuals, {"links": np.ones(design.shape[2])}
     for _ in range(5):
-        left = residuals - design @ found
         size = np.maximum(np.linalg.norm(left, axis=1), 1e-12)
         scale = max(float(np.median(size)) / 1.54, _MIN_SCALE_MM)  # of a 3-D normal, per axis
-        weights = np.minimum(1.0, HUBER_SIGMAS * scale / size)
-        weights *= share / scale**2
-        normal = np.einsum("nij,n,nik->jk", design, weights, design) + prior
-        covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-        found = covariance @ np.einsum("nij,n,ni->j", design, weights, residuals)
-    return found, covariance
+        weights = np.minimum(1.0, HUBER_SIGMAS * scale / size) * (share / scale**2)
+        fit = fit_blocks(residuals, {"links": design}, weights[:, None, None] * np.eye(3), known)
+        left = fit.residuals
+    return fit.values["links"], fit.covariances["links"]
 
 
 _MEMORY_MM = 200.0  # of the joints' motion, at their levers, in which hysteresis is forgotten

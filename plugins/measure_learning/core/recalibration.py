@@ -16,7 +16,7 @@ from measure.errors import EstimatorError
 from measure.geometry import chi_square_quantile
 from measure.host import Dataset
 from measure.robots import StateSchema
-from measure_learning.core.offline import read_states, rezero
+from measure_learning.core.correction import read_states, rezero
 from measure_learning.core.offsets import (
     OFFSET_SD_MM,
     DriftMonitor,

@@ -13,30 +13,31 @@ from measure.errors import EstimatorError
 from measure.geometry import skew
 from measure.limits import CLEAR_RATIO, LEVER_MM
 from measure.robots import SerialChain, StateSchema
+from measure_learning.core.causes import changed, check_turns, explain
 from measure_learning.core.clock import MIN_KEPT_SHARE
 from measure_learning.core.frame_fit import (
-    FRAMES,
     FrameFit,
-    Sightings,
+    align_turns,
     best_stops,
     fit_frames,
     quick_miss,
 )
+from measure_learning.core.frame_judgement import judgement
 from measure_learning.core.frames import RobotFrame
-from measure_learning.core.judged_frames import judgement
-from measure_learning.core.labels import check_turns
-from measure_learning.core.sightings import LoggedTrack as LoggedTrack
-from measure_learning.core.sightings import clock_of, moving, own_delays_s, rough_clock_of
-from measure_learning.core.slips import Misfit, changed, explain
-from measure_learning.core.stops import (
+from measure_learning.core.robot_model import FRAMES, Sightings
+from measure_learning.core.sightings import (
     LEAST_STOPS,
     Stops,
     at_rest,
+    clock_of,
     is_sparse,
+    moving,
+    own_delays_s,
+    rough_clock_of,
     stop_sightings,
     stops_left_out,
 )
-from measure_learning.core.turns import align_turns
+from measure_learning.core.sightings import LoggedTrack as LoggedTrack
 from measure_learning.robots.links import TURNS, link_names
 from measure_learning.robots.tool_poses import Angles, ToolPoses, ToolReading
 
@@ -370,7 +371,7 @@ def _refuse_slips(
                 "--robot the right one, and is this the log of this recording?"
             )
     seen = seen.take(fit.kept)
-    if (cause := changed(Misfit.of(alone, seen))) is not None:
+    if (cause := changed(alone, seen)) is not None:
         raise EstimatorError(cause)
     if schema.chain and options.kinematics:
         _refuse_unlike(fit, schema.chain)

@@ -4,18 +4,141 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from measure.arrays import Floats, rms_length
+from measure.errors import EstimatorError, FitError, MeasureError
 from measure.geometry import RigidTransform, chi_square_quantile, squared_mahalanobis
 from measure.host import Dataset, Estimator, Report
+from measure.host.dataset import Turns, recording_of
 from measure.host.interfaces import quiet
-from measure_learning.core.fitting import fit
-from measure_learning.core.splits import Split
+from measure.host.registry import failure
 from measure_learning.onnx import Estimates, OnnxModel
 from measure_learning.onnx.rotation import turn_errors
+
+_MIN_RECORDINGS = 3  # from which on whole recordings are kept for validation and test
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Three parts that share no trajectory; validation stands for a test where there is none."""
+
+    train: Dataset
+    validation: Dataset
+    test: Dataset
+
+    @property
+    def scored_on(self) -> str:
+        """What the part that scores is."""
+        return "validation" if self.test is self.validation else "test"
+
+
+def split_by_trajectory(
+    data: Dataset, *, test: float | Dataset = 0.1, validation: float = 0.1, seed: int = 0
+) -> Split:
+    """Choose at random until each part has its share of the usable rows.
+
+    Neighbouring rows of a trajectory are almost the same: a random split puts one of them into
+    training and the other into the test, which then measures memory, not prediction. Trajectories
+    of one recording share what changes at a restart. So whole recordings are chosen where there are
+    three, and whole trajectories else. EstimatorError: fewer than three trajectories with labels,
+    or shares that leave nothing.
+    """
+    shares = [validation] if isinstance(test, Dataset) else [test, validation]
+    _check_shares(*([0.1, validation] if isinstance(test, Dataset) else shares))
+    counts = {name: int(data.usable[rows].sum()) for name, rows in data.runs()}
+    names = [name for name, count in counts.items() if count]
+    if len(names) <= len(shares):
+        raise EstimatorError(
+            f"{len(names)} trajector{'y' if len(names) == 1 else 'ies'} cannot be split into "
+            f"training, validation{' and test' if shares[1:] else ''}: record more, or cut long "
+            "recordings (--cut-s)"
+        )
+    order = [names[i] for i in np.random.default_rng(seed).permutation(len(names))]
+    total = sum(counts.values())
+    chosen: list[list[str]] = []
+    for share in shares:
+        units, part = _units(order), list[str]()
+        while not part or (units[2:] and sum(counts[n] for n in part) < 0.75 * share * total):
+            part += units.pop()
+        order = [name for unit in units for name in unit]
+        chosen.append(part)
+    scored = test if isinstance(test, Dataset) else data.select(chosen[0])
+    return Split(data.select(order), data.select(chosen[-1]), scored)
+
+
+def _units(names: Sequence[str]) -> list[list[str]]:
+    """What is chosen as a whole: recordings where there are three, else single trajectories."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault(recording_of(name), []).append(name)
+    return list(found.values()) if len(found) >= _MIN_RECORDINGS else [[name] for name in names]
+
+
+def split_as_trained(data: Dataset, model: OnnxModel) -> Split:
+    """The split a model was trained with, by its card; EstimatorError if the data are others."""
+    parts, known = [], model.card.get("data", {})
+    for what in ("training", "validation", "test"):
+        facts = known.get(what, known.get("validation", {"trajectories": (), "rows": None}))
+        part = data.select([name for name in data.names if name in facts["trajectories"]])
+        if len(part) != facts["rows"]:
+            raise EstimatorError(
+                f"{model.where}: the {what} trajectories that its card names are not in these "
+                "data, or cut otherwise: give all data sets it was trained on, or a --split-seed "
+                "to split these anew"
+            )
+        parts.append(part)
+    return Split(*parts)
+
+
+def _check_shares(test: float, validation: float) -> None:
+    if not (test > 0 and validation > 0 and test + validation < 1):
+        raise EstimatorError(
+            f"a test share of {test:g} and a validation share of {validation:g}: expected two "
+            "above 0 that leave something to train on"
+        )
+
+
+def join(parts: Sequence[Dataset]) -> Dataset:
+    """One data set of several of one robot with different trajectories; else EstimatorError."""
+    same_robot(parts)
+    names = tuple(name for part in parts for name in part.names)
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise EstimatorError(f"two recordings are called '{twice}': rename one")
+    shifts = np.cumsum([0, *(len(part.names) for part in parts[:-1])])
+    joined = Dataset(
+        parts[0].schema,
+        np.concatenate([part.states for part in parts]),
+        np.concatenate([part.times_s for part in parts]),
+        np.concatenate([part.trajectory + s for part, s in zip(parts, shifts, strict=True)]),
+        names,
+        np.concatenate([part.errors_mm for part in parts]),
+        np.concatenate([part.covariances for part in parts]),
+        np.concatenate([part.usable for part in parts]),
+    )
+    if all(part.turns is None for part in parts):
+        return joined
+    each = [part.turns or Turns.unknown(len(part)) for part in parts]
+    vectors, spreads = (np.concatenate([getattr(t, f.name) for t in each]) for f in fields(Turns))
+    return replace(joined, turns=Turns(vectors, spreads))
+
+
+def same_robot(parts: Sequence[Dataset]) -> None:
+    """Refuse to use data of several robots, or with other features, together (EstimatorError)."""
+    robots = {part.schema.robot for part in parts}
+    if len(robots) > 1:
+        raise EstimatorError(
+            f"data of several robots cannot be used together: {', '.join(sorted(robots))}"
+        )
+    if not all(part.schema.means(parts[0].schema) for part in parts):
+        raise EstimatorError(
+            f"data of robot '{parts[0].schema.robot}' with other features, units or kinematics "
+            "cannot be used together: make all of them with one description of the robot"
+        )
+
 
 SPEED_EDGES_MM_S = (0.0, 5.0, 15.0, 30.0, 60.0, np.inf)
 
@@ -212,3 +335,44 @@ def _removed(estimator: Estimator, split: Split, columns: Sequence[int], seed: i
     estimator.folds = 0
     fit(estimator, train, validation, seed=seed, report=quiet)
     return corrected_rms_mm(estimator.model, test)  # type: ignore[attr-defined]
+
+
+def fit(
+    estimator: Estimator, data: Dataset, validation: Dataset, *, seed: int, report: Report
+) -> None:
+    """Fit an estimator; FitError if it fails.
+
+    An exception raised by `report` (to end a fit, say) is raised unchanged, also where the
+    estimator raises another one from it.
+    """
+    raised: list[BaseException] = []
+
+    def tracked(done: float, what: str) -> None:
+        share = min(max(0.0, float(done)), 1.0)
+        try:
+            report(share, what)
+        except Exception as error:
+            raised.append(error)
+            raise
+
+    try:
+        estimator.fit(data, validation, seed=seed, report=tracked)
+    except Exception as error:
+        theirs = next((one for one in _with_causes(error) if one in raised), None)
+        if theirs is None and not isinstance(error, MeasureError):
+            raise FitError(str(failure("estimator", estimator, "fitting", error))) from error
+        if theirs is None or theirs is error:
+            raise
+    else:
+        return
+    raise theirs
+
+
+def _with_causes(error: BaseException) -> list[BaseException]:
+    """An exception and what it was raised from, the latest first."""
+    found: list[BaseException] = []
+    at: BaseException | None = error
+    while at is not None and at not in found:
+        found.append(at)
+        at = at.__cause__ or at.__context__
+    return found

@@ -22,9 +22,7 @@ from measure.host import Estimator, Registry, Report
 from measure.processes import needed
 from measure.session import load_toml
 from measure_learning.core.files import read_dataset
-from measure_learning.core.fitting import fit
-from measure_learning.core.scores import corrected_rms_mm
-from measure_learning.core.splits import split_by_trajectory
+from measure_learning.core.scores import corrected_rms_mm, fit, split_by_trajectory
 
 _HEARTBEAT_S = 15  # a busy machine delays some
 _LOCKED_S = 60.0  # how long a process waits for another one that writes

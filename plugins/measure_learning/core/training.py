@@ -17,9 +17,7 @@ from measure.errors import EstimatorError
 from measure.host import Dataset, Epoch, Estimator, LeftOut, Report
 from measure.host.interfaces import RecordingLeftOut
 from measure.host.registry import named
-from measure_learning.core.fitting import fit
-from measure_learning.core.scores import EstimatorEvaluation, evaluate, speed_range
-from measure_learning.core.splits import Split
+from measure_learning.core.scores import EstimatorEvaluation, Split, evaluate, fit, speed_range
 from measure_learning.onnx import Estimates, OnnxModel
 from measure_learning.onnx.model import contract
 
