@@ -16,7 +16,7 @@ from pathlib import Path
 BOUNDS = {
     "code": 58_000,  # 42,000 is wanted
     "core": 31_000,  # 23,000 is wanted
-    "tests": 44_500,  # lines of their files; 31,000 is wanted
+    "tests": 44_000,  # lines of their files; 31,000 is wanted
 }
 NO_CODE = {
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
