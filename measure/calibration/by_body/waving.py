@@ -21,7 +21,7 @@ from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Detection, Intrinsics
 
-_FIT_EVERY = 10  # Instants after which the cameras are located anew
+_FIT_EVERY = 15  # Instants after which the cameras are located anew
 _NEW_SHARE = 0.03  # Share of the diagonal by which a view differs from those that are kept
 _TILTED_DEG = 20.0  # From how the body was held in the first picture that showed all of it
 
