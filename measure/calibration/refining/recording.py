@@ -21,6 +21,7 @@ _MIN_AGREEING_SHARE = 0.2
 """A camera that agrees in a smaller share of the frame sets is not refined but refused."""
 _WINDOW_FRAMES = 9
 _POLYNOMIAL_DEGREE = 4
+_GAP_STEPS = 3.0  # Times the usual step, over which no polynomial reaches
 MIN_MOTION_MM = 20.0
 _DOUBTFUL_SHARE = 0.2
 _DISAGREEING = (Reason.INCONSISTENT, Reason.JUMPED, Reason.RECOVERING)
@@ -208,15 +209,23 @@ class BallMotion:
 
 
 def _polynomials(times_s: Floats) -> tuple[Ints, Floats]:
-    """Windows (f, w) of frame sets, and operators (f, d + 1, w) from values to coefficients."""
+    """Windows (f, w) of frame sets, and operators (f, d + 1, w) from values to coefficients.
+
+    Those behind a gap do not count, and as few coefficients are left as there are frame sets.
+    """
     count = len(times_s)
     width = min(_WINDOW_FRAMES, count)
     first = np.clip(np.arange(count) - width // 2, 0, count - width)
     window = first[:, None] + np.arange(width)
-    offset = times_s[window] - times_s[:, None]
+    steps_s = np.diff(times_s)
+    stretch = np.concatenate([[0], np.cumsum(steps_s > _GAP_STEPS * np.median(steps_s))])
+    together = stretch[window] == stretch[:, None]
+    offset = np.where(together, times_s[window] - times_s[:, None], 0.0)
     scale = np.abs(offset).max(axis=1)
+    scale[scale == 0] = 1.0
     powers = np.arange(_POLYNOMIAL_DEGREE + 1)
-    vandermonde = (offset / scale[:, None])[:, :, None] ** powers
+    vandermonde = (offset / scale[:, None])[:, :, None] ** powers * together[:, :, None]
+    vandermonde *= powers < together.sum(axis=1)[:, None, None]
     return window, np.linalg.pinv(vandermonde) / scale[:, None, None] ** powers[:, None]
 
 

@@ -23,7 +23,7 @@ def motion(count: int = 24) -> list[RigidTransform]:
 
 
 def seen_by(
-    camera: Camera, body: Body, pose: RigidTransform, balls: tuple[str, ...], rng
+    camera: Camera, body: Body, pose: RigidTransform, balls: tuple[str, ...], rng, time_s=0.0
 ) -> list[Detection]:
     """What a search would find of some balls."""
     out = []
@@ -33,7 +33,7 @@ def seen_by(
             outline = camera.outline(center, ball.radius_mm)
             radius = np.linalg.norm(outline - outline.mean(axis=0), axis=1).mean()
             radius *= 1 + rng.normal(0, _SIZE_SD)
-            out.append(Detection(ball.name, camera.name, 0.0, at, radius, 0.05 * np.eye(2)))
+            out.append(Detection(ball.name, camera.name, time_s, at, radius, 0.05 * np.eye(2)))
     return out
 
 
@@ -48,7 +48,8 @@ def recorded(
     out = []
     for number, pose in enumerate(motion(count)):
         seen = {
-            c.name: seen_by(c, body, pose, (balls or {}).get(c.name, body.names), rng) for c in rig
+            c.name: seen_by(c, body, pose, (balls or {}).get(c.name, body.names), rng, number / 10)
+            for c in rig
         }
         out.append(Instant(number / 10, seen))
     return out
