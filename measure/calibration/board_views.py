@@ -16,6 +16,7 @@ from measure.arrays import Floats, Ints, rms_length
 from measure.calibration import least_squares
 from measure.calibration.boards import Board, Corners
 from measure.errors import CalibrationError
+from measure.estimation.losses import Huber
 from measure.geometry import RigidTransform, skew
 from measure.model import Camera, Intrinsics, Projection
 
@@ -252,7 +253,7 @@ class BoardProblem:
         self, start: BoardState, huber: float
     ) -> least_squares.LeastSquaresSolution[BoardState]:
         """Fit; the robust loss reaches to `huber` standard deviations, squares if infinite."""
-        loss = least_squares.Huber(huber)
+        loss = Huber(huber)
         return least_squares.solve(self._linearise, self._step, start, loss)
 
     def _linearise(self, state: BoardState) -> least_squares.Linearised:

@@ -23,8 +23,9 @@ from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.least_squares import LeastSquaresSolution
 from measure.errors import CalibrationError
+from measure.estimation.losses import HUBER_SIGMAS
 from measure.geometry import RigidTransform, UncertainTransform, chart_jacobian, skew
-from measure.limits import CLEAR_RATIO, HUBER_SIGMAS
+from measure.limits import CLEAR_RATIO
 from measure.model import Camera, Intrinsics
 
 _MIN_COMMON = 3

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, rms_length
-from measure.calibration.least_squares import Huber, LeastSquaresSolution, solve
+from measure.calibration.least_squares import LeastSquaresSolution, solve
 from measure.calibration.rig_problem import CORNERS, MARKS, RigProblem, RigState, lay_out
+from measure.estimation.losses import Huber
 from measure.limits import MAX_STEPS
 from measure.model import (
     BoardObservation,

@@ -17,6 +17,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import CalibrationError
+from measure.estimation.losses import Huber
 
 State = TypeVar("State")
 
@@ -59,24 +60,6 @@ class Linearised:
     def size_of_block(self) -> int:
         """Parameters in a block."""
         return self.groups[0].by_block.shape[2]
-
-
-@dataclass(frozen=True)
-class Huber:
-    """Huber's loss on the length of a whitened residual: squared up to `reach`, then linear."""
-
-    reach: float = np.inf
-
-    def cost(self, lengths: Floats) -> float:
-        """Sum of the losses of lengths (n,)."""
-        inside = np.minimum(lengths, self.reach)
-        return float(np.sum(inside * (2 * lengths - inside)))
-
-    def weights(self, lengths: Floats) -> Floats:
-        """Weights (n,) that make squares have the loss's slope."""
-        return (
-            self.reach / np.maximum(lengths, self.reach) if np.isfinite(self.reach) else lengths**0
-        )
 
 
 @dataclass(frozen=True)

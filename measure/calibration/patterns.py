@@ -22,7 +22,8 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats, Ints
-from measure.geometry.covariance import MAD_TO_SD, TUKEY_SIGMAS
+from measure.estimation.losses import tukey_weights
+from measure.geometry.covariance import MAD_TO_SD
 from measure.limits import MAX_STEPS
 from measure.model import Intrinsics
 
@@ -88,9 +89,7 @@ def fit_pattern(
         unknowns = np.maximum(unknowns + step, least)
         whitened = (_residuals(values, weights, unknowns, basis) * root)[root > 0]
         misfit = MAD_TO_SD * float(np.median(np.abs(whitened))) + 1e-4
-        t = np.zeros_like(values)
-        t[root > 0] = np.minimum(np.abs(whitened) / (TUKEY_SIGMAS * misfit), 1)
-        robust = (1 - t**2) ** 2
+        robust[root > 0] = tukey_weights((whitened / misfit) ** 2)
         if np.abs(step).max() < 2e-3:
             break
     return PatternFit(unknowns, misfit, float(np.mean(np.abs(whitened) > _UNEXPLAINED_RESIDUAL)))

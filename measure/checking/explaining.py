@@ -27,10 +27,11 @@ from measure.checking.hypotheses import (
     of_camera,
     wandering,
 )  # fmt: skip
+from measure.estimation.losses import Huber
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.geometry.covariance import symmetric_inverse
 
-_HUBER_SIGMAS = 3.0
+_LOSS = Huber(3.0)
 _BIAS_SHARE, _COMMON_SHARE = 0.5, 1.5
 """Of a view's systematic error, what it errs by in all pictures alike; and what all outlines, and
 all places, have in common (blur, gloss, codecs)."""
@@ -325,7 +326,7 @@ class _Normal(NamedTuple):
     def of(cls, evidence: Evidence, linear: Linear, by_others: Floats) -> _Normal:
         residuals, by_pose, _ = linear
         length = np.linalg.norm(residuals, axis=1)
-        weight = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(length, 1e-9))
+        weight = _LOSS.weights(length)
         weighted = weight[:, None, None] * np.swapaxes(by_pose, 1, 2)
         count, q = len(evidence.times_s), by_others.shape[2]
         V = np.zeros((count, 6, 6))
@@ -340,14 +341,8 @@ class _Normal(NamedTuple):
         np.add.at(normal, evidence.instants, np.swapaxes(own, 1, 2) @ by_others)
         np.add.at(right, evidence.instants, np.einsum("niq,ni->nq", own, residuals))
         steps = np.einsum("kij,kj->ki", inverse, h)
-        cost, capped = _huber(length), _huber(np.minimum(length, _WORST_SIGMAS))
+        cost, capped = _LOSS.cost(length), _LOSS.cost(np.minimum(length, _WORST_SIGMAS))
         return cls(normal, right, own, steps, adapts, cost, capped)
-
-
-def _huber(lengths: Floats) -> float:
-    """The sum of squares; those far out count by their lengths."""
-    inside = np.minimum(lengths, _HUBER_SIGMAS)
-    return float(np.sum(inside * (2 * lengths - inside)))
 
 
 def _inverses(matrices: Floats) -> Floats:

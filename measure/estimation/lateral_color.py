@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Singles
-from measure.limits import SIGNIFICANT_SIGMAS, STUDENT_DEGREES
+from measure.estimation.losses import student_weights
+from measure.limits import SIGNIFICANT_SIGMAS
 from measure.model import Camera, FrameSet
 
 _BLOCK = 32  # Side of a block, in pixels of the picture reduced to half
@@ -97,7 +98,7 @@ def _robust_mean(blocks: Floats) -> tuple[float, float]:
     mean, used = float(np.average(values, weights=weights)), weights
     for _ in range(_ITERATIONS):
         square = (values - mean) ** 2 * weights
-        used = weights / (STUDENT_DEGREES + square / max(float(np.median(square)) / 0.455, 1e-30))
+        used = weights * student_weights(square / max(float(np.median(square)) / 0.455, 1e-30))
         mean = float(np.average(values, weights=used))
     scatter = float(np.sqrt(np.sum((used * (values - mean)) ** 2)) / np.sum(used))
     return mean, scatter

@@ -15,6 +15,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
+from measure.estimation.losses import tukey_weights
 from measure.geometry import RigidTransform, chart_jacobian
 from measure.limits import MAX_STEPS, SETTLED, SINGULAR
 from measure.model import Body, Camera, Detection, Rig
@@ -112,7 +113,7 @@ def fit_pose(
     for step in range(MAX_STEPS):
         residuals, slopes, distances = _residuals(s, pose, turning, inverse)
         width = tukey if step > 1 else _FIRST_TUKEY
-        weights = np.maximum(1 - distances / width**2, 0.0) ** 2
+        weights = tukey_weights(distances, width)
         weighted = np.swapaxes(slopes, 1, 2) @ (inverse * weights[:, None, None])
         normal = (weighted @ slopes).sum(axis=0)
         if step == 0 and not _determined(normal):

@@ -31,7 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from measure.arrays import Bytes, Floats
-from measure.limits import FEWEST, HUBER_SIGMAS, SIGNIFICANT_SIGMAS, TINY
+from measure.estimation.losses import HUBER_SIGMAS, Huber
+from measure.limits import FEWEST, SIGNIFICANT_SIGMAS, TINY
 from measure.model import Detection, FrameSet, Image
 
 _ROW_STEP = 32  # Every so many rows are compared
@@ -487,5 +488,5 @@ def _robust(design: Floats, values: Floats) -> tuple[Floats, Floats]:
         found = np.linalg.solve(normal, design.T @ (weights * values))
         left = np.abs(values - design @ found)
         sd = max(1.48 * float(np.median(left)), TINY)  # of a Gaussian, by its median
-        weights = 1 / np.maximum(left / (HUBER_SIGMAS * sd), 1)
+        weights = Huber(HUBER_SIGMAS * sd).weights(left)
     return np.asarray(found, np.float64), np.asarray(sd**2 * np.linalg.inv(normal), np.float64)

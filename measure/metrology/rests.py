@@ -14,8 +14,8 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
+from measure.estimation.losses import TUKEY_SIGMAS, tukey_weights
 from measure.geometry import RigidTransform, chi_square_quantile
-from measure.geometry.covariance import TUKEY_SIGMAS
 from measure.metrology.poses import (
     PoseTable,
     SharedErrors,
@@ -208,7 +208,7 @@ def _averaged(poses: PoseTable, shared: SharedErrors) -> Rest:
         off = deltas - mean
         squares = np.einsum("ni,ij,nj->n", off, inverse, off)
         scale = np.median(squares) / chi_square_quantile(0.5, 6)
-        weights = np.maximum(1 - squares / (max(scale, 1e-18) * (6 * TUKEY_SIGMAS)), 0.0) ** 2
+        weights = tukey_weights(squares / max(scale, 1e-18), np.sqrt(6 * TUKEY_SIGMAS))
         mean = np.average(deltas, axis=0, weights=weights)
     used = weights > 0
     off = (deltas - mean)[used]

@@ -21,6 +21,7 @@ from scipy.special import ndtr, stdtrit
 
 from measure.arrays import Floats, rms_length
 from measure.errors import DegenerateGeometryError
+from measure.estimation.losses import tukey_weights
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
 from measure.limits import CLEAR_RATIO, FEWEST, MAX_STEPS
 from measure.metrology.poses import PoseTable, SharedErrors
@@ -282,8 +283,8 @@ def _fit(poses: PoseTable) -> tuple[Floats, Floats, Floats]:
         A, H, inverse = _linearised(adjusted, x[:3], poses.covariances)
         w = adjusted.apply(x[:3]) - x[3:] + np.einsum("nij,nj->ni", H, v)
         squares = np.einsum("ni,nij,nj->n", w, inverse, w)
-        most = max(np.median(squares) / chi_square_quantile(0.5, 3) * _TUKEY**2, 1e-300)
-        weights = np.maximum(1 - squares / most, 0.0) ** 2
+        scale = max(np.median(squares) / chi_square_quantile(0.5, 3), 1e-300)
+        weights = tukey_weights(squares / scale, _TUKEY)
         weighted = np.swapaxes(A, 1, 2) @ (weights[:, None, None] * inverse)
         step = -np.linalg.solve((weighted @ A).sum(axis=0), np.einsum("nij,nj->i", weighted, w))
         x = x + step

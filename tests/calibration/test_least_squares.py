@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from measure.arrays import Floats
-from measure.calibration.least_squares import Group, Huber, Linearised, solve
+from measure.calibration.least_squares import Group, Linearised, solve
 from measure.errors import CalibrationError
+from measure.estimation.losses import Huber
 
 
 def problem(x: Floats, y: Floats, state: tuple[Floats, Floats]) -> Linearised:

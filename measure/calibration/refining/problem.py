@@ -17,8 +17,8 @@ from measure.calibration import least_squares
 from measure.calibration.board_views import changed
 from measure.calibration.refining.priors import CameraPrior, NoiseModel
 from measure.calibration.refining.recording import BallMotion, Recording
+from measure.estimation.losses import HUBER_SIGMAS, Huber
 from measure.geometry import RigidTransform, skew
-from measure.limits import HUBER_SIGMAS
 from measure.model import Body, Camera
 
 _ONE_ROUND = least_squares.StoppingRule(steps=2, tolerance=1e-7, must_settle=False, damping=1e-12)
@@ -93,7 +93,7 @@ class RefineProblem:
             lambda s: self._linearise(s, motion, roots, prior, noise),
             self._step,
             state,
-            least_squares.Huber(float(reach)),
+            Huber(float(reach)),
             _ONE_ROUND,
         )
 

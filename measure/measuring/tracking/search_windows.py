@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
+from measure.estimation.losses import tukey_weights
 from measure.estimation.multiview import calibration_noise
 from measure.geometry import RigidTransform, propagate, squared_mahalanobis
 from measure.measuring.tracking.motion_filter import (
@@ -256,7 +257,7 @@ def agree_with_each_other(
     precision, information = np.linalg.inv(noise), np.linalg.inv(prior)
     distances, width = np.zeros(len(innovations)), 16.0 * gate
     for _ in range(_ITERATIONS):
-        weights = np.maximum(1 - distances / (2.25 * width), 0.0) ** 2
+        weights = tukey_weights(distances / width, 1.5)
         weighted = np.swapaxes(slopes, 1, 2) @ (precision * weights[:, None, None])
         covariance = np.linalg.inv(information + (weighted @ slopes).sum(axis=0))
         change = covariance @ np.einsum("nij,nj->i", weighted, innovations)

@@ -10,8 +10,9 @@ import numpy as np
 from measure.arrays import Floats, floats
 from measure.errors import EstimatorError
 from measure.estimation.blocks import fit_blocks
+from measure.estimation.losses import HUBER_SIGMAS, Huber
 from measure.host import Correction
-from measure.limits import FEWEST, HUBER_SIGMAS
+from measure.limits import FEWEST
 from measure.robots import SerialChain, StateSchema
 from measure_learning.robots.links import TURNS, link_jacobian, with_link_errors
 
@@ -211,7 +212,7 @@ def _regression(design: Floats, residuals: Floats, share: float) -> tuple[Floats
     for _ in range(5):
         size = np.maximum(np.linalg.norm(left, axis=1), 1e-12)
         scale = max(float(np.median(size)) / 1.54, _MIN_SCALE_MM)  # of a 3-D normal, per axis
-        weights = np.minimum(1.0, HUBER_SIGMAS * scale / size) * (share / scale**2)
+        weights = Huber(HUBER_SIGMAS * scale).weights(size) * (share / scale**2)
         fit = fit_blocks(residuals, {"links": design}, weights[:, None, None] * np.eye(3), known)
         left = fit.residuals
     return fit.values["links"], fit.covariances["links"]

@@ -19,6 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Bytes, Floats
+from measure.estimation.losses import tukey_weights
+from measure.geometry.covariance import MAD_TO_SD
 from measure.limits import TINY
 from measure_plugins._outline.appearance import (
     DEFAULT_CORRECTION_WEIGHT,
@@ -87,8 +89,7 @@ def prediction_agreement(patches: Sequence[BallPatch], appearance: Appearance) -
     for _ in range(_ITERATIONS):
         both, square = sums = products @ weights
         left = seen - both / (square + TINY) * predicted
-        limit = 4.685 * 1.4826 * np.median(np.abs(left)) + TINY
-        weights = np.clip(1 - (left / limit) ** 2, 0, None) ** 2
+        weights = tukey_weights((left / (MAD_TO_SD * np.median(np.abs(left)) + TINY)) ** 2)
     return np.asarray(sums)
 
 

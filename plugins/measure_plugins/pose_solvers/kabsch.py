@@ -15,6 +15,7 @@ import numpy as np
 from measure import estimation
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
+from measure.estimation.losses import Huber
 from measure.geometry import (
     RigidTransform,
     align_points,
@@ -137,7 +138,7 @@ def _robust_fit(
     for _ in range(MAX_STEPS):
         residuals = centers - pose.apply(points_body)
         distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, inverse, residuals))
-        factor = np.minimum(1.0, huber / np.maximum(distance, 1e-12))
+        factor = Huber(huber).weights(distance)
         weight = inverse * factor[:, None, None]
         jacobians = chart_jacobian(pose.rotate(points_body))
         weighted = np.swapaxes(jacobians, 1, 2) @ weight
