@@ -95,9 +95,9 @@ def test_a_viewer_that_goes_away_is_named_once_and_the_file_goes_on(frozen, tmp_
 def test_python_ends_at_once_beside_a_frozen_viewer(frozen):
     program = (
         "import rerun as rr, rerun.blueprint as rrb\n"
-        "from measure.viewing import feed\n"
-        "feed.SLOW_S = 0.5\n"
-        f"viewer = feed.ViewerFeed({frozen.address!r}, print, rrb.Blueprint())\n"
+        "from measure.viewing import recording\n"
+        "recording.SLOW_S = 0.5\n"
+        f"viewer = recording.ViewerFeed({frozen.address!r}, print, rrb.Blueprint())\n"
         "viewer.log('a', rr.TextLog('something'))\n"
         "viewer.close()\n"
         "print('the end')\n"
