@@ -10,7 +10,7 @@ effects of larger variance, and outlying effects smaller weights (Student's t).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import median
@@ -123,6 +123,9 @@ def _named(balls: tuple[str, ...], body: Body, cameras: tuple[Camera, ...]) -> B
 _MAX_EFFECT_SQUARE = 13.8
 """Squared Mahalanobis distance of a shift beyond which it is flagged: exceeded by 1 in 1000
 (chi-square, 2 degrees of freedom)."""
+_ENOUGH_OTHERS = 2
+"""Balls in its camera, and cameras with its ball, less than half as far off, beside which a single
+ball-view that is off is none of the rig's errors."""
 _OUTLINE_SHARES = np.array([3.0, 3.0, 2.0]) / 16
 """Shares of the variance of a ball's surface, half oval (spherical harmonics of degree 2) and half
 three-lobed (degree 3), that shift an outline to x and y and let it grow. See
@@ -278,20 +281,34 @@ class ContoursSolver(PoseSolver):
         except DegenerateGeometryError:
             return None
 
-    def _flags(self, fit: JointFit, outlines: NamedOutlines, view_noise: Floats) -> tuple[str, ...]:
-        flags = []
-        limit, effects = self.config.max_shift_px, fit.found.effects_px.tolist()
-        for k, (seen, (right, down, _)) in enumerate(
-            zip(outlines.detections, effects, strict=True)
-        ):
-            off, view = math.hypot(right, down), outlines.packed.view_of[k]
-            if off <= limit:
-                continue
+    def _off_the_fit(
+        self, fit: JointFit, outlines: NamedOutlines, view_noise: Floats
+    ) -> Iterator[str]:
+        """Ball-views beside their places; not a single one that all others leave alone.
+
+        What shifts one ball in one picture is in that picture: an error of a camera or of the body
+        shifts others too. It counts little in the fit, whose covariance has grown by it.
+        """
+        off, view = np.hypot(*fit.found.effects_px[:, :2].T), outlines.packed.view_of
+        beyond = list[int]()
+        for k in np.flatnonzero(off > self.config.max_shift_px).tolist():
+            seen, (right, down, _) = outlines.detections[k], fit.found.effects_px[k].tolist()
             px_per_mm = seen.radius_px / self.body.radii[self.body.index(seen.ball)]
             own_px = self.body.tolerance_mm * px_per_mm
-            stated = seen.covariance_px + view_noise[view] + own_px**2 * np.eye(2)
+            stated = seen.covariance_px + view_noise[view[k]] + own_px**2 * np.eye(2)
             if _beyond(stated, right, down):
-                flags.append(f"{seen.ball} in {seen.camera} sits {off:.1f} px off the fit")
+                beyond.append(k)
+        if len(beyond) == 1:
+            near, ball_of = off < off[beyond[0]] / 2, outlines.named.ball_of
+            alike = (near & (view == view[beyond[0]]), near & (ball_of == ball_of[beyond[0]]))
+            if min(np.count_nonzero(one) for one in alike) >= _ENOUGH_OTHERS:
+                return
+        for k in beyond:
+            seen = outlines.detections[k]
+            yield f"{seen.ball} in {seen.camera} sits {off[k]:.1f} px off the fit"
+
+    def _flags(self, fit: JointFit, outlines: NamedOutlines, view_noise: Floats) -> tuple[str, ...]:
+        flags = list(self._off_the_fit(fit, outlines, view_noise))
         balls = len(outlines.named.shown)
         if balls < 3:
             flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
