@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -53,9 +54,10 @@ class Recording:
     cameras: str  # of `CAMERAS`
     sets: int  # at most
 
-    def make(self, source: Path, folder: Path, rng: np.random.Generator) -> None:
-        """Write it into a folder that is not there yet."""
+    def make(self, source: Path, folder: Path, seed: int) -> None:
+        """Write it into a folder that is not there yet; the same whatever else is drawn."""
         copied(source, folder)
+        rng = np.random.default_rng([seed, zlib.crc32(str(self).encode())])
         names = [camera.name for camera in read_calibration(folder / "calibration.toml").cameras]
         fewest = {"all": len(names), "all but one": max(len(names) - 1, 2), "two": 2}[self.cameras]
         first = int(rng.integers(len(names)))
@@ -102,7 +104,8 @@ def answer(folder: Path, registry: Registry) -> Answer:
     worst = next((f for f in found.findings if f.level is Level.WRONG), None)
     causes = [cause.finding for cause in found.causes if cause.level is not Level.NOTE]
     worst = worst or next(iter(causes), None)
-    summary = api.run(folder, folder / "run", api.load_profile(), registry)
+    without = api.RunOptions(recording=False)
+    summary = api.run(folder, folder / "run", api.load_profile(), registry, without)
     flagged = summary.flagged / max(summary.frame_sets, 1)
     if worst is None:
         return Answer(None, "", flagged)
@@ -125,7 +128,7 @@ def main() -> None:
         recording = every[number]
         with tempfile.TemporaryDirectory() as folder:
             made = Path(folder) / "recording"
-            recording.make(known[recording.source](), made, rng)
+            recording.make(known[recording.source](), made, options.seed)
             given.append(answer(made, registry))
         last = given[-1]
         print(f"{last.level or 'quiet':6}{last.flagged:5.0%} {recording}: {last.line}", flush=True)

@@ -198,6 +198,9 @@ def kept_cameras(*names: str) -> Change:
         head, *tables = path.read_text().split("[[cameras]]")
         kept = [table for table in tables if any(f'"{name}"' in table for name in names)]
         path.write_text("[[cameras]]".join([head, *kept]))
+        for pictures in folder.glob("*/"):
+            if pictures.name not in names:
+                shutil.rmtree(pictures)
 
     return changed
 

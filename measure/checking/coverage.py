@@ -54,7 +54,8 @@ def coverage_findings(
     flagged = [s.flags[0] for s in samples if s.flags]
     if len(flagged) > _MAX_CHANCE_SHARE * len(samples):  # a second body may be in view
         text = f"{flagged[0]} (so in {len(flagged)} of {len(samples)} frame sets looked at)"
-        findings.append(Finding(Level.WRONG if true_colors else Level.WEAK, "balls", text))
+        mostly = true_colors and len(flagged) > len(samples) / 2
+        findings.append(Finding(Level.WRONG if mostly else Level.WEAK, "balls", text))
     reflections = [s.reflection for s in samples if s.reflection is not None]
     if len(reflections) > _MAX_CHANCE_SHARE * len(samples):
         text = f"{reflections[0]} (so in {len(reflections)} of {len(samples)} frame sets looked at)"

@@ -91,6 +91,17 @@ def test_cameras_in_a_row_are_called_weak():
     assert not any("same line" in f.text for f in coverage_findings([standing], RAVEN, RIG)[1])
 
 
+@pytest.mark.parametrize(("shown", "level"), [(2, None), (6, Level.WEAK), (14, Level.WRONG)])
+def test_a_second_body_is_wrong_where_most_frame_sets_show_one(shown, level):
+    """Candidates that noise and compression make lie as far apart as its balls, now and then."""
+    flag = "there may be a second body near (16, -283, 161) mm"
+    seen = [replace(s, flags=(flag,) * (k < shown)) for k, s in enumerate(samples(24))]
+    _, findings = coverage_findings(seen, RAVEN, RIG)
+    assert [(f.level, f"{flag} (so in {shown} of 24" in f.text) for f in findings] == (
+        [] if level is None else [(level, True)]
+    )
+
+
 def test_nothing_found_is_wrong():
     nothing = search_sample({}, RAVEN, RIG, 0.0)
     _, (finding,) = coverage_findings([nothing] * 3, RAVEN, RIG)
