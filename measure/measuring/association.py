@@ -79,6 +79,7 @@ def find_reflection(
     cameras: Sequence[Camera],
     candidates: Sequence[Candidates],
     sigmas: float,
+    is_image: bool = False,
 ) -> Reflection | None:
     """The mirror image of the body found, if some plane shows it there; else None.
 
@@ -87,6 +88,8 @@ def find_reflection(
     Args:
         candidates: of every ball, those that do not lie on the body.
         sigmas: points fit within this many standard deviations.
+        is_image: look for the body instead, of which the one found is the image: all cameras are
+            on its side.
     """
     centers = world_from_body.apply(body.centers)
     located = [
@@ -102,7 +105,9 @@ def find_reflection(
         near = sum(_is_located(i, p, sigmas) for i, p in zip(images, located, strict=True))
         if near < min(seen, _SURE_BALLS) or np.any(heights <= 0):
             continue
-        front = np.array([camera.center @ normal > offset_mm for camera in cameras])
+        front = np.array([(camera.center @ normal > offset_mm) != is_image for camera in cameras])
+        if is_image and not front.all():
+            continue
         shown = [_shown(images, body, cameras, front, some) for some in candidates]
         views = [some.rays.cameras[own] for some, own in zip(candidates, shown, strict=True)]
         count = sum(len(own) for own in views)
@@ -220,6 +225,8 @@ def _associated(
             assert found.world_from_body is not None
             left = unexplained(found.world_from_body, body, cameras, candidates)
             mirrored = find_reflection(found.world_from_body, body, cameras, left, _SIGMAS)
+            if mirrored is None:
+                mirrored = _taken_for_the_body(found, body, cameras, detections, left)
             if mirrored is not None:
                 again = _associated(body, cameras, mirrored.left_out_of(detections))
                 return replace(again, reflection=again.reflection or mirrored)
@@ -229,6 +236,26 @@ def _associated(
         against = tuple(_disagreeing(found, body, cameras, detections))
         return replace(found, flags=flags, disagreeing=against)
     return Association(None, reason=_why_none(body, candidates, points))
+
+
+def _taken_for_the_body(
+    found: Association,
+    body: Body,
+    cameras: Sequence[Camera],
+    detections: Mapping[str, Sequence[Detection]],
+    left: Sequence[Candidates],
+) -> Reflection | None:
+    """The body found itself, if it is a mirror image of what else is seen.
+
+    Where few cameras see some of the body's own balls, its image may fit better.
+    """
+    assert found.world_from_body is not None
+    seen = find_reflection(found.world_from_body, body, cameras, left, _SIGMAS, is_image=True)
+    if seen is None:
+        return None
+    others = {id(d) for some in left for d in some.detections}
+    own = (d for some in detections.values() for d in some if id(d) not in others)
+    return replace(seen, normal=-seen.normal, detections=tuple(own), others=tuple(left))
 
 
 def _other_unit(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,25 @@ def test_the_body_is_told_from_its_image_and_the_plane_is_named(body, below_mm, 
     assert found.reflection.normal @ normal > np.cos(np.radians(2))
     assert abs(found.reflection.distance_mm - below_mm) < 1
     assert len(found.reflection.detections) == count * len(body.balls)
+
+
+@pytest.mark.parametrize("body", [RAVEN, FOUR], ids=lambda body: body.name)
+def test_an_image_that_is_seen_better_than_the_body_is_not_taken_for_it(body):
+    """Of two cameras one sees the body's red ball half hidden, aside and too small."""
+    pose = a_pose(np.random.default_rng(3), 20, 25)
+    two = dict(list(CAMERAS.items())[:2])
+    seen = both_seen(body, pose, mirrored(body, pose, TABLE, 60.0), cameras=two)
+    seen = {name: own for name, own in seen.items() if name in two}
+    own = seen["cam0"]
+    place = next(k for k, d in enumerate(own) if d.ball == body.names[-1])
+    hidden = replace(own[place], center_px=own[place].center_px + 25, radius_px=20.0)
+    seen["cam0"] = [hidden if d is own[place] else d for d in own]
+    found = associate(body, list(two.values()), seen)
+    assert found.world_from_body is not None
+    assert not found.flags
+    assert np.linalg.norm(found.world_from_body.difference(pose)[:3]) < 2
+    assert found.reflection.normal @ TABLE > np.cos(np.radians(2))
+    assert abs(found.reflection.distance_mm - 60) < 2
 
 
 def test_two_balls_of_an_image_suffice():
