@@ -62,27 +62,29 @@ def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stam
         names = tuple(table.words[words[0]]) if words else ()
         if names:
             table.columns["frame"] = np.arange(float(len(names)))
-    frames, times = table.columns["frame"], table.columns["time_s"]
+    order = np.argsort(table.columns["frame"], kind="stable")  # as several threads wrote the rows
+    frames, times = table.columns["frame"][order], table.columns["time_s"][order]
+    lines = [table.lines[i] for i in order]
     for i in np.flatnonzero(~np.isfinite(times) | ~np.isfinite(frames) | (frames % 1 != 0)):
         raise SessionError(
-            f"{where}:{table.lines[i]}: frame {frames[i]:g} has the time {times[i]:g}; "
+            f"{where}:{lines[i]}: frame {frames[i]:g} has the time {times[i]:g}; "
             "both must be numbers, the frame a whole one"
         )
     for i in np.flatnonzero(np.abs(times) > LATEST_S):
         raise SessionError(
-            f"{where}:{table.lines[i]}: frame {frames[i]:g} has the time {times[i]:.6g} s: are "
+            f"{where}:{lines[i]}: frame {frames[i]:g} has the time {times[i]:.6g} s: are "
             "these milli-, micro- or nanoseconds? time_s holds seconds"
         )
     for i in np.flatnonzero(np.diff(times) <= 0):
         way = "goes backwards" if times[i + 1] < times[i] else "stands still"
         raise SessionError(
-            f"{where}:{table.lines[i + 1]}: time {way}, from {times[i]:.6f} s (frame "
+            f"{where}:{lines[i + 1]}: time {way}, from {times[i]:.6f} s (frame "
             f"{frames[i]:g}) to {times[i + 1]:.6f} s (frame {frames[i + 1]:g}); correct the stamp, "
             "or remove the row and its picture"
         )
     for i in np.flatnonzero(np.diff(frames) <= 0):
         raise SessionError(
-            f"{where}:{table.lines[i + 1]}: frame {frames[i + 1]:g} follows frame {frames[i]:g}; "
+            f"{where}:{lines[i + 1]}: frame {frames[i + 1]:g} follows frame {frames[i]:g}; "
             "frame numbers must increase"
         )
     return Stamps(frames.astype(np.int64), times, names)

@@ -237,3 +237,14 @@ def test_numbers_that_are_no_times_are_none():
     assert stamps_in_names(["1600000000100.jpg", "1600000000000.jpg"]) is None
     found = stamps_in_names([f"cam_{33333333 * k:012d}.png" for k in range(3)])
     np.testing.assert_allclose(found.times_s, [0, 0.033333333, 0.066666666])
+
+
+def test_rows_that_two_threads_wrote_are_taken_in_the_order_of_their_frames(tmp_path):
+    rows = ["0,0.0", "2,0.2", "1,0.1", "3,0.3"]
+    (tmp_path / "cam0.csv").write_text("\n".join(["frame,time_s", *rows]) + "\n")
+    found = read_stamps(tmp_path / "cam0.csv", "cam0")
+    assert found.frames.tolist() == [0, 1, 2, 3]
+    assert found.times_s.tolist() == [0.0, 0.1, 0.2, 0.3]
+    (tmp_path / "cam0.csv").write_text("frame,time_s\n0,0.0\n2,0.1\n1,0.2\n")
+    with pytest.raises(SessionError, match=r"cam0\.csv:3: time goes backwards"):
+        read_stamps(tmp_path / "cam0.csv", "cam0")
