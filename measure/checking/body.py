@@ -56,6 +56,9 @@ class Compared:
 
 def layout_causes(distances: Sequence[Compared], body: Body) -> list[Cause]:
     """The simplest explanation of distances that disagree, with no pose known."""
+    for d in distances:
+        if d.measured_mm < sum(body.radii[body.index(name)] for name in d.what) / 2:
+            return [_on_one_ball(d)]
     wrong = [d for d in distances if not d.agrees]
     if not wrong:
         return []
@@ -79,6 +82,17 @@ def layout_causes(distances: Sequence[Compared], body: Body) -> list[Cause]:
         nothing=surest.file_mm,
     )
     return significant([cause])
+
+
+def _on_one_ball(d: Compared) -> Cause:
+    """Two balls that would be inside of each other: the one's colour was found on the other."""
+    a, b = d.what
+    text = (
+        f"the colours of {a} and {b} are found on one ball, {d.measured_mm:.1f} mm apart: the "
+        "light has a colour of its own"
+    )
+    remedy = "balance the cameras' white in this light; `measure run` learns the colours in it"
+    return Cause(Word.EXPOSURE, f"{a}, {b}", text, remedy, Level.WEAK)
 
 
 _MEND_PLACES = "correct the places in the body file (`measure body` finds them)"

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.checking.body import Compared, check_body, locate_balls, radius_causes
+from measure.checking import Level
+from measure.checking.body import Compared, check_body, layout_causes, locate_balls, radius_causes
 from measure.model import Body
 from tests.scenes import FOUR, RAVEN, a_pose, ring, see
 
@@ -76,6 +77,16 @@ def test_one_misplaced_ball_is_named():
     centers = FOUR.centers + np.array([[0, 0, 0], [0, 4.0, 0], [0, 0, 0], [0, 0, 0]])
     (cause,) = check(FOUR, with_centers(FOUR, centers)).causes
     assert cause.text.startswith("ball blue is not where the body file says")
+
+
+def test_two_balls_on_one_place_are_a_colour_of_the_light_and_no_error_of_the_body():
+    a, b, c = RAVEN.names
+    file_mm = {pair: float(mm) for pair, mm in RAVEN.distances().items()}
+    one = [Compared((a, b), 0.07, 0.09, file_mm[a, b], 24)]
+    other = [Compared((a, c), 53.7, 0.08, file_mm[a, c], 24)]
+    (cause,) = layout_causes(one + other, RAVEN)
+    assert (cause.cause, cause.of, cause.level) == ("exposure", f"{a}, {b}", Level.WEAK)
+    assert layout_causes(other, RAVEN)[0].cause == "ball-place"
 
 
 def test_a_wrong_radius_is_found():
