@@ -370,11 +370,15 @@ def _open_whole(table: CameraTable, folder: Path) -> Stream:
     stamps = read_stamps(stamps_path, table.name, table.time_column) if stamps_path else None
     offset_s = table.time_offset_s
     if table.video is not None:
-        return open_video_stream(table.name, folder / table.video, stamps, stamps_path, offset_s)
-    assert table.images is not None
-    return open_image_stream(
-        table.name, folder, table.images, stamps, stamps_path, offset_s, bits=table.bit_depth
-    )
+        video = folder / table.video
+        stream: Stream = open_video_stream(table.name, video, stamps, stamps_path, offset_s)
+    else:
+        assert table.images is not None
+        stream = open_image_stream(
+            table.name, folder, table.images, stamps, stamps_path, offset_s, bits=table.bit_depth
+        )
+    stream.notes = (*stream.notes, *(stamps.notes if stamps else ()))
+    return stream
 
 
 def _check_size(stream: Stream, camera: Camera, calibrated: Path) -> None:

@@ -33,6 +33,7 @@ class Stamps:
     frames: Ints  # (n,) frame numbers, increasing
     times_s: Floats  # (n,) increasing
     names: tuple[str, ...] = ()  # of the frames' files, where they say which frame is which
+    notes: tuple[str, ...] = ()  # what to know of how they were read
 
 
 def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stamps:
@@ -87,7 +88,9 @@ def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stam
             f"{where}:{lines[i + 1]}: frame {frames[i + 1]:g} follows frame {frames[i]:g}; "
             "frame numbers must increase"
         )
-    return Stamps(frames.astype(np.int64), times, names)
+    moved = int(np.sum(order != np.arange(len(order))))
+    note = f"{where}: {moved} rows were out of order and are sorted by their frame number"
+    return Stamps(frames.astype(np.int64), times, names, (note,) if moved else ())
 
 
 def _listed(text: str) -> tuple[Floats, tuple[str, ...], list[int]] | None:

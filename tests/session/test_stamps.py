@@ -245,6 +245,9 @@ def test_rows_that_two_threads_wrote_are_taken_in_the_order_of_their_frames(tmp_
     found = read_stamps(tmp_path / "cam0.csv", "cam0")
     assert found.frames.tolist() == [0, 1, 2, 3]
     assert found.times_s.tolist() == [0.0, 0.1, 0.2, 0.3]
+    assert "2 rows were out of order" in found.notes[0]
+    (tmp_path / "cam1.csv").write_text("\n".join(["frame,time_s", *sorted(rows)]) + "\n")
+    assert not read_stamps(tmp_path / "cam1.csv", "cam1").notes
     (tmp_path / "cam0.csv").write_text("frame,time_s\n0,0.0\n2,0.1\n1,0.2\n")
     with pytest.raises(SessionError, match=r"cam0\.csv:3: time goes backwards"):
         read_stamps(tmp_path / "cam0.csv", "cam0")
