@@ -26,6 +26,7 @@ from measure.model import Body, Camera, Detection, Expectation, Rig
 from measure.model.observations import Reason, stacked_detections
 
 _OUT_OF_SIGHT_PX = -1e4
+_NEAREST_RADII = 1.05  # Of a ball's centre from a camera: any nearer it has no outline
 
 
 class GatedObservations(NamedTuple):
@@ -67,14 +68,18 @@ def predict_balls(
     pixels, by_point = views.project(centers)
     away = centers - views.centers
     jacobians = np.concatenate([by_point, np.cross(arms[:, None], by_point)], axis=2)
-    unseen = np.isnan(pixels[:, 0])
+    radii = np.tile(body.radii, len(cameras))
+    apart = np.linalg.norm(away, axis=1)
+    inside = apart < _NEAREST_RADII * radii  # a prediction that has run into the camera
+    behind = -_NEAREST_RADII * views.rows.rotation[:, :, 2]
+    away[inside] = (radii[:, None] * behind)[inside]  # where no detector finds it
+    unseen = np.isnan(pixels[:, 0]) | inside
     pixels[unseen], jacobians[unseen] = _OUT_OF_SIGHT_PX, 0.0
     row_s, middle = np.repeat(_readouts(tuple(cameras)), count, axis=0).T
     by_time = np.einsum("nui,ni->nu", jacobians, np.repeat(velocities, count, axis=0))
     pixels += (row_s * (pixels[:, 1] - middle))[:, None] * by_time
     known = propagated_covariance(state.covariance, leads_s, variance)[:, :6, :6]
     covariances = propagate(jacobians, np.repeat(known, count, axis=0))
-    radii = np.tile(body.radii, len(cameras))
     depth = np.sqrt(np.maximum(np.sum(away**2, axis=1) - radii**2, 1.0))
     return PredictedBalls(
         pixels,

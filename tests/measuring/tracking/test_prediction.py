@@ -117,6 +117,21 @@ def test_windows_are_where_the_cameras_see_the_moved_balls(state):
     assert windows.keys[4] == ("cam1", RAVEN.names[1])
 
 
+def test_a_prediction_that_runs_into_a_camera_looks_for_nothing_there(state):
+    camera = ring()["cam0"]
+    inside = RigidTransform(np.eye(3), camera.center - RAVEN.centers[1])
+    windows = _windows(replace(state, world_from_body=inside), np.zeros(4))
+    row = windows.keys.index(("cam0", RAVEN.names[1]))
+    assert np.all(np.isfinite(windows.balls.radii_px))
+    assert not camera.intrinsics.contains(windows.balls.centers_px[row][None])[0]
+    place = windows.balls.centers_camera[row]
+    assert np.linalg.norm(place) > RAVEN.radii[1]
+    assert place[2] < 0
+    for expected in windows.expectations(3.0, 2.0, 0.1)["cam0"]:
+        radius = RAVEN.radii[RAVEN.index(expected.ball)]
+        assert np.linalg.norm(expected.center_camera) > radius
+
+
 def test_windows_move_by_the_row_delay_of_the_shutter(state):
     still, rolled = _windows(state, np.zeros(4)), _windows(state, np.zeros(4), 0.02)
     for row, (name, _) in enumerate(still.keys):
