@@ -188,6 +188,7 @@ class Chessboard(Board):
             corner = np.maximum(low - border, 0).astype(int)
             u, v = (high + border).astype(int) + 1
             part = np.ascontiguousarray(gray[corner[1] : v, corner[0] : u])
+        cv2.setRNGSeed(0)  # The search draws: it must not depend on what was drawn before
         found, raw = cv2.findChessboardCornersSB(part, self.inner_corners, flags=flags)
         if found:
             return np.asarray(raw, dtype=np.float64).reshape(-1, 2) + corner

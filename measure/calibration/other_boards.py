@@ -183,7 +183,8 @@ def _other_charuco(chosen: Board, seen: _Markers, grays: Sequence[Bytes]) -> Oth
     remedy = _difference(chosen, tried)
     counts = f"{columns}x{rows} squares seen, {{}}x{{}} chosen".format(*chosen.squares)
     same = chosen.squares == tried.squares
-    return OtherBoard(remedy if same else counts, f"write {remedy}" if remedy else "", tried)
+    words = (_in_words(chosen, tried) if same else "") or counts
+    return OtherBoard(words, f"write {remedy}" if remedy else "", tried)
 
 
 def _twice(seen: _Markers) -> bool:
@@ -234,6 +235,20 @@ def _difference(board: Charuco, other: Charuco) -> str:
     return ", ".join(changed)
 
 
+def _in_words(board: Charuco, other: Charuco) -> str:
+    """What makes one of equal counts another."""
+    layout = "after" if board.legacy else "before"
+    each = {
+        "dictionary": f"its markers are {other.dictionary}",
+        "inverted": f"its markers are {'white on black' if other.inverted else 'black on white'}",
+        "first_marker": f"its markers begin with number {other.first_marker}",
+        "legacy": f"its markers lie as OpenCV {layout} 4.6 draws them",
+    }
+    return ", ".join(
+        text for key, text in each.items() if getattr(other, key) != getattr(board, key)
+    )
+
+
 def _other_chessboard(
     chosen: Board, grays: Sequence[Bytes], least: tuple[int, int]
 ) -> OtherBoard | None:
@@ -264,6 +279,7 @@ def _chessboard_corners(gray: Bytes, least: tuple[int, int]) -> tuple[int, int] 
     """Inner corners of a chessboard of at least so many, the larger number first."""
     share = min(_SEARCH_SIDE_PX / max(gray.shape), 1.0)
     small = cv2.resize(gray, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    cv2.setRNGSeed(0)  # The search draws: it must not depend on what was drawn before
     found, _, meta = cv2.findChessboardCornersSBWithMeta(small, least, cv2.CALIB_CB_LARGER)
     rows, columns = np.shape(meta)[:2] if found else (0, 0)
     return (max(rows, columns), min(rows, columns)) if found else None
