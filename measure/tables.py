@@ -164,7 +164,8 @@ def read_number_table(
     found = {*header} if stamp is None else {*header, TIME}
     if missing := [name for name in (*words, *needed) if name not in found]:
         lacks = _lacks(missing, (*words, *needed), header, time_column)
-        raise error(f"{place}:{dialect.head}: {lacks}")
+        quoted = any(dialect.separator in name for name in header)
+        raise error(f"{place}:{dialect.head}: {lacks}{_QUOTED if quoted else ''}")
     columns = [stamp if stamp and name == TIME else ((header.index(name), 1.0),) for name in needed]
     rows, lines, texts = list[list[float]](), list[int](), {name: list[str]() for name in words}
     bad = list[tuple[int, _BadRowError]]()
@@ -221,6 +222,7 @@ class _BadRowError(ValueError):
         self.cure = cure
 
 
+_QUOTED = ": is a quotation mark not closed?"
 _COMMAS = ": are decimal commas among them? Write points, and a heading for every column"
 
 
@@ -248,6 +250,4 @@ def csv_rows(
         for row in reader:
             yield head + reader.line_num, row
     except csv.Error as problem:
-        raise error(
-            f"{place}:{head + reader.line_num}: {problem}: is a quotation mark not closed?"
-        ) from None
+        raise error(f"{place}:{head + reader.line_num}: {problem}{_QUOTED}") from None

@@ -187,6 +187,13 @@ def _sampled(place: Place) -> None:
     api.write_sampled_body(place.out / "b.toml", body, picture, {place.name: (3, 3)}, ())
 
 
+def _name_body(place: Place) -> None:
+    session = place.out / "named"
+    session.mkdir()
+    shutil.copy(place.session / "session.toml", session)
+    studio_api.name_body(session, read_body(place.body))
+
+
 def _profiled(call: Callable[..., Any], *given: Any) -> Any:
     return call(*given, profile=api.load_profile("paper"), registry=Registry.discover())
 
@@ -203,6 +210,9 @@ WRITES: dict[str, Callable[[Place], Any]] = {
     "capture_board": lambda p: studio_api.capture_board(
         _of_videos(p), "charuco_8x5_27", p.out / "wave", studio_api.CaptureOptions(seconds=0.2)
     ),
+    "capture_body": lambda p: studio_api.capture_body(
+        _of_videos(p), p.out / "waved", Registry.discover(), studio_api.CaptureOptions(seconds=0.2)
+    ),
     "draw": lambda p: api.draw([], api.drawings([p.capture / "cam0.png"], p.out)),
     "draw_target": lambda p: api.draw_target(p.body, p.out / "body.pdf"),
     "export": lambda p: [api.export(p.run, kind, p.out / f"e.{kind}") for kind in ("csv", "trc")],
@@ -213,6 +223,7 @@ WRITES: dict[str, Callable[[Place], Any]] = {
     ),
     "mark_event": lambda p: api.mark_event(p.run, p.name),
     "mend": lambda p: _profiled(api.mend, p.session, p.out / "mended"),
+    "name_body": _name_body,
     "pivot": lambda p: lab.pivot(p.run),
     "record": _record,
     "refine": lambda p: api.refine(p.session, Registry.discover()),
@@ -243,13 +254,14 @@ NAMELESS = {
 }  # fmt: skip
 """What writes, but reads no camera, body or ball of a file."""
 READS = {
-    "board_frame", "board_length", "body_names", "build_pipeline", "calibrate", "calibrate_by_body",
+    "best_balls", "board_frame", "board_length", "body_names", "build_detectors", "build_pipeline",
+    "calibrate", "calibrate_by_body",
     "camera_line", "is_session",
     "camera_names", "cameras", "check", "choose", "compare", "contents_of", "described", "detect",
     "clicked_color", "drawings", "evaluate", "evaluation_tables", "events", "find_target",
     "inside", "learnt_colors", "load_profile", "measure_bodies", "measure_session",
     "check_other_file", "other_file", "model_file",
-    "next_free", "other_board", "own_board", "recordings_in",
+    "next_free", "other_board", "own_board", "paper_body", "read_intrinsics", "recordings_in",
     "trail_of", "parse_cameras",
     "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
     "parse_size", "play", "play_cameras", "profile_names", "read_board", "read_body",
