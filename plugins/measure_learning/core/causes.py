@@ -482,10 +482,25 @@ def not_the_robot(seen: Sightings, coupled: tuple[int, ...] = ()) -> str | None:
         free.append("delay")
     combined = (itertools.combinations(free, k) for k in range(1, len(free) + 1))
     causes = [explain_by(seen, blocks) for blocks in itertools.chain(*combined)]
-    cause = likeliest(causes, min(size, _own_left_mm(seen, coupled)), _LEAST_RMS_MM)
+    own_mm = _own_left_mm(seen, coupled)
+    cause = likeliest(causes, min(size, own_mm), _LEAST_RMS_MM)
+    if cause is None and seen.chain is not None and "delay" in free:
+        cause = _late(seen, seen.chain, coupled, own_mm)
     if cause is None or (seen.chain is None and _as_homed(cause, seen)):
         return unexplained
     return f"{said}: {_words(cause)}"
+
+
+def _late(
+    seen: Sightings, chain: SerialChain, coupled: tuple[int, ...], own_mm: float
+) -> Explanation | None:
+    """A clock that is off, if it explains what joints that are homed wrongly leave, `own_mm`."""
+    both = explain_by(seen, ("frame", "delay"))  # the frame takes what homing does
+    slopes = chain.jacobian(seen.joints)[:, :3]
+    rest = LinearModel.of(both.state, seen).residuals
+    left_mm = _own_left(rest, slopes, seen.joints, chain, coupled)
+    late = replace(both, blocks=("delay",), left_mm=left_mm)
+    return likeliest([late], own_mm, _LEAST_RMS_MM * EXPLAINED)
 
 
 def check_labels(name: str, doubts: Sequence[str], *, as_it_is: bool) -> None:
