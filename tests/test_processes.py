@@ -130,12 +130,13 @@ def test_a_signal_that_is_ignored_stops_nothing(name):
 
 
 CLOSED = """
-import fcntl, sys, termios, time
+import fcntl, signal, sys, termios, time
 from contextlib import nullcontext
 from pathlib import Path
 from threading import Event
 from measure.processes import Terminated, until_stopped, unwound_by_signals
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it, for all that it begins
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 out = Path(sys.argv[1])
 try:
@@ -165,5 +166,8 @@ def test_a_closed_terminal_lets_work_end_in_order(tmp_path, stop):
             assert one.poll() is None
             time.sleep(0.01)
         os.close(terminal)
-        assert one.wait(30) == 0
+        try:
+            assert one.wait(30) == 0
+        finally:
+            one.kill()
     assert out.exists()
