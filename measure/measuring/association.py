@@ -88,8 +88,8 @@ def find_reflection(
     Args:
         candidates: of every ball, those that do not lie on the body.
         sigmas: points fit within this many standard deviations.
-        is_image: look for the body instead, of which the one found is the image: all cameras are
-            on its side.
+        is_image: the body found is the image; look for the real one. All cameras are on the
+            image's side.
     """
     centers = world_from_body.apply(body.centers)
     located = [

@@ -2,8 +2,8 @@
 
 Every pose is world_from_base @ base_from_flange(joints + rates * delay) @ flange_from_body. The
 blocks are `frame` (world_from_base), `tool` (body_from_flange), `delay` (one of every recording),
-`links` (errors of the links, of which those along its axis are a joint's offset) and `scale` (of
-the cameras' world).
+`links` (errors of the links: one along a joint's axis is that joint's offset) and `scale` (of the
+cameras' world).
 """
 
 from __future__ import annotations
