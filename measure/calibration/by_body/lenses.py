@@ -20,6 +20,7 @@ from measure.errors import CalibrationError
 from measure.estimation.focal_length import zoomed
 from measure.model import Body, Camera, Intrinsics
 from measure.model.camera import USUAL_FOCAL
+from measure.processes import Progress, quiet
 
 FOCAL_FACTORS = (1.0, 1.25, 1.55, 0.8, 1.95, 0.65)
 """Of the usual focal length (70 deg of view along the longer side): 94 deg to 39 deg."""
@@ -46,7 +47,10 @@ def usual_lens(size_wh: tuple[int, int]) -> Intrinsics:
 
 
 def link_by_focal_lengths(
-    lenses: Mapping[str, Intrinsics], body: Body, instants: Sequence[Instant]
+    lenses: Mapping[str, Intrinsics],
+    body: Body,
+    instants: Sequence[Instant],
+    progress: Progress = quiet,
 ) -> LinkedRig:
     """The cameras linked by the factor of their focal lengths with which most sightings agree.
 
@@ -55,7 +59,8 @@ def link_by_focal_lengths(
     """
     few = [instants[i] for i in np.unique(np.linspace(0, len(instants) - 1, _TRIED).astype(int))]
     tried, failed = list[tuple[int, float]](), None
-    for factor in FOCAL_FACTORS:
+    for number, factor in enumerate(FOCAL_FACTORS):
+        progress(number, len(FOCAL_FACTORS) + 1)
         try:
             linked = link({n: zoomed(lens, factor) for n, lens in lenses.items()}, body, few)
             tried.append((linked.sightings, factor))
@@ -63,6 +68,7 @@ def link_by_focal_lengths(
             failed = failed or problem
     if not tried and failed:
         raise failed
+    progress(len(FOCAL_FACTORS), len(FOCAL_FACTORS) + 1)
     best = max(tried)[1]
     linked = link({n: zoomed(lens, best) for n, lens in lenses.items()}, body, instants)
     return replace(linked, cameras=tuple(with_lens_kind(c, ()) for c in linked.cameras))

@@ -10,9 +10,9 @@ most with all before: two cameras that never see the body at once are linked thr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import count, permutations
 
 import cv2
 import numpy as np
@@ -26,6 +26,7 @@ from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
 from measure.limits import FEWEST
 from measure.model import Body, Camera, Detection, Intrinsics
+from measure.processes import Progress, quiet
 
 _TRIALS = 100  # Draws of each kind
 _MORE_TRIALS = 300
@@ -74,23 +75,37 @@ class _Seen:
     views: Mapping[str, View]
 
 
-def link(lenses: Mapping[str, Intrinsics], body: Body, seen: Sequence[Instant]) -> LinkedRig:
+def link(
+    lenses: Mapping[str, Intrinsics],
+    body: Body,
+    seen: Sequence[Instant],
+    progress: Progress = quiet,
+) -> LinkedRig:
     """Place all cameras; CalibrationError: one sees too little, or too little with the others."""
+    cameras = len(lenses)
+    tries = cameras * (cameras - 1) + (cameras - 1) * (cameras - 2) // 2
+    tried = count(1)
+
+    def placed(name: str, places: Sequence[Floats]) -> tuple[RigidTransform, float]:
+        found = _placed(name, places, body, instants)
+        progress(next(tried), tries)
+        return found
+
     instants = [
         _Seen(one.time_s, {n: View.of(d, body, lenses[n]) for n, d in one.detections.items()})
         for one in seen
     ]
     poses = {name: [_poses(one, name, body) for one in instants] for name in lenses}
     _check_seen(lenses, body, instants, poses)
-    group = _first_pair(lenses, body, instants, poses)
+    group = _first_pair(lenses, body, instants, poses, placed)
     refuse_rest(stack([some[0] for some in group.bodies if len(some) == 1]), least_motion_mm(body))
     while waiting := [name for name in lenses if name not in group.placed]:
         places = group.places()
-        tried = {name: _placed(name, places, body, instants) for name in waiting}
-        name = max(tried, key=lambda one: tried[one][1])
-        if tried[name][1] < FEWEST:
-            raise CalibrationError(_unlinked(name, [*group.placed], tried[name][1]))
-        group = group.with_camera(name, tried[name][0])
+        found = {name: placed(name, places) for name in waiting}
+        name = max(found, key=lambda one: found[one][1])
+        if found[name][1] < FEWEST:
+            raise CalibrationError(_unlinked(name, [*group.placed], found[name][1]))
+        group = group.with_camera(name, found[name][0])
     return group.rig()
 
 
@@ -193,12 +208,13 @@ def _first_pair(
     body: Body,
     instants: Sequence[_Seen],
     poses: Mapping[str, list[list[RigidTransform]]],
+    placed: Callable[[str, Sequence[Floats]], tuple[RigidTransform, float]],
 ) -> _Group:
     """The two cameras that agree on most sightings, the first of them as the group's frame."""
     tried = []
     for one, other in permutations(lenses, 2):
         alone = _Group(lenses, body, instants, poses, {one: RigidTransform.identity()}, poses[one])
-        tried.append((alone, other, *_placed(other, alone.places(), body, instants)))
+        tried.append((alone, other, *placed(other, alone.places())))
     alone, other, pose, agreed = max(tried, key=lambda one: one[3])
     if agreed < FEWEST:
         raise CalibrationError(

@@ -144,3 +144,9 @@ def test_another_body_is_refused(rig, paper_body):
     larger = paper_body.with_centers(2 * paper_body.centers)
     with pytest.raises(CalibrationError, match="body file"):
         link(lenses(rig), paper_body, recorded(rig, larger))
+
+
+def test_linking_says_how_far_it_is(rig, paper_body):
+    told = list[tuple[int, int]]()
+    link(lenses(rig[:3]), paper_body, recorded(rig[:3], paper_body), lambda *n: told.append(n))
+    assert told == [(done, 7) for done in range(1, 8)]
