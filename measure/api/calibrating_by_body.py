@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from measure.api.calibrating import CalibrationResult, write_judged
 from measure.api.lenses import tagged_px
 from measure.api.measuring import search_frame_sets
-from measure.api.profiles import build_detectors, load_profile
-from measure.api.refining import clock_shifts, lenient, measure_all
+from measure.api.profiles import build_detectors, build_pipeline, load_profile
+from measure.api.refining import clock_shifts, lenient
+from measure.api.warming_up import warm_pipeline
+from measure.arrays import Ints
 from measure.calibration import RigCalibration, judge, provenance
 from measure.calibration.by_body.adjustment import (
     adjusted,
@@ -25,7 +28,7 @@ from measure.calibration.by_body.adjustment import (
     shape_of,
 )
 from measure.calibration.by_body.lenses import link_by_focal_lengths, refuse_open, usual_lens
-from measure.calibration.by_body.linking import Instant, least_motion_mm, link
+from measure.calibration.by_body.linking import Instant, LinkedInstant, least_motion_mm, link
 from measure.calibration.refining.procedure import AdjustedRig, adjust_measured
 from measure.calibration.refining.recording import ball_places, recording_of
 from measure.calibration.starts import mm_per_px
@@ -33,9 +36,11 @@ from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.estimation.focal_length import zoomed
 from measure.geometry import RigidTransform
-from measure.host import Registry
-from measure.measuring import Measurement, Profile
-from measure.model import Body, Camera, Intrinsics, RigObservations
+from measure.host import Registry, Tracker
+from measure.measuring import Measurement, Pipeline, Profile
+from measure.measuring.burn_in import calibrated
+from measure.measuring.tracking.predictive.tracker import PredictiveTracker
+from measure.model import Body, Camera, FrameSet, Intrinsics, Pose, RigObservations
 from measure.processes import Progress, quiet
 from measure.session import (
     JOINT_COVARIANCE,
@@ -50,7 +55,9 @@ from measure.session import (
 from measure.session.streams import ImageStream, Stream
 
 _SEARCHED = 60  # Instants at which whole pictures are searched, spread over the recording
-_MEASURED = 150  # Frame sets, about so many, that are measured while the cameras are rough
+_BESIDE = 1  # Frame sets before and after these that are measured as well, at last
+_KNOWN_SD = np.repeat([4.0, 0.05], 3)  # mm and rad, of the body by cameras that are rough
+_LINKING_SETS = 20  # Frame sets whose search takes as long as linking, about
 _MOST_ROUNDS = 6
 _ROUGH = 4.0  # Times as well as from single pictures lenses are known from what is measured
 BY_BODY = "body"
@@ -80,10 +87,15 @@ def calibrate_by_body(
     source = f"in {lenses}"
     with open_session(session, _cameras_of(known, session, source), body) as opened:
         chosen = load_profile(profile)
-        steps = _Steps(progress, opened)
-        first, cameras = _linked(opened, known is not None, chosen, registry, steps)
+        total = len(opened.pair().times_s)
+        searched = np.unique(np.linspace(0, total - 1, min(_SEARCHED, total)).round().astype(int))
+        beside = searched[:, None] + np.arange(-_BESIDE, _BESIDE + 1)
+        beside = np.unique(beside.clip(0, total - 1))
+        steps = _Steps(progress, len(searched), len(beside))
+        few = replace(opened, chosen=searched)
+        linked = _linked(few, known is not None, chosen, registry, steps)
         measure = partial(_measured, opened, lenient(chosen), registry, steps)
-        rig = _settled(opened.body, first, cameras, measure, steps.step)
+        rig = _settled(opened.body, linked, measure, searched, beside)
         if known is None:
             refuse_open(rig.refinement.cameras, rig.recording)
         clocks = clock_values(opened.clock_digest, clock_shifts(rig, opened.clock_shifts_s))
@@ -95,7 +107,7 @@ def calibrate_by_body(
             None,
             RigObservations(),
             MarkerField(),
-            cameras_before=first,
+            cameras_before=linked.first,
             around=ball_places(rig.recording.world_from_body, opened.body.centers),
             joint=shape.joint,
         )
@@ -175,14 +187,11 @@ def _tagged_px(stream: Stream) -> float | None:
 
 
 class _Steps:
-    """Progress over what is searched and measured, one after the other."""
+    """Progress over what is searched, linked and measured, one after the other."""
 
-    def __init__(self, progress: Progress, session: Session) -> None:
+    def __init__(self, progress: Progress, searched: int, measured: int) -> None:
         self._progress, self._before, self._now = progress, 0, 0
-        total = len(session.pair().times_s)
-        self.step = max(1, total // _MEASURED)
-        self._expected = min(_SEARCHED, total) + 3 * (total // self.step)
-        self._expected += total if self.step > 1 else 0
+        self._expected = _LINKING_SETS + 4 * searched + (measured > searched) * measured
 
     def begin(self) -> None:
         """Something new begins."""
@@ -190,40 +199,48 @@ class _Steps:
         self._now = 0
 
     def __call__(self, done: int, total: int | None = None) -> None:
-        """So much of it is done."""
+        """So many frame sets of it are done."""
         del total
         self._now = done
         so_far = self._before + done
         self._progress(so_far, max(self._expected, so_far))
 
+    def linking(self, done: int, total: int) -> None:
+        """So many of the steps of linking are done."""
+        self(_LINKING_SETS * done // total)
+
+
+class _Located(NamedTuple):
+    """Cameras, and where the body was at some times by them."""
+
+    first: tuple[Camera, ...]  # what is known of their lenses before any adjustment
+    cameras: tuple[Camera, ...]
+    body_at: tuple[LinkedInstant, ...]
+
 
 def _linked(
     session: Session, lenses_known: bool, profile: Profile, registry: Registry, steps: _Steps
-) -> tuple[tuple[Camera, ...], tuple[Camera, ...]]:
-    """The cameras as single pictures place them, and adjusted to these.
-
-    The first ones state what is known of the lenses before the adjustment.
-    """
+) -> _Located:
+    """The cameras as single pictures place them, and adjusted to these."""
     detectors = build_detectors(profile, registry, session.body, session.cameras)
-    total = len(session.pair().times_s)
-    chosen = np.unique(np.linspace(0, total - 1, min(_SEARCHED, total)).round().astype(int))
-    found = []
-    for frame_set, (seen,) in search_frame_sets(session, [detectors], chosen.tolist()):
+    chosen, found = range(len(session.pair().times_s)), list[Instant]()
+    for frame_set, (seen,) in search_frame_sets(session, [detectors], chosen):
         found.append(Instant(frame_set.time_s, seen))
         steps(len(found))
     lenses = {camera.name: camera.intrinsics for camera in session.cameras}
+    steps.begin()
     if lenses_known:
-        linked = link(lenses, session.body, found)
+        linked = link(lenses, session.body, found, steps.linking)
     else:
-        linked = link_by_focal_lengths(lenses, session.body, found)
+        linked = link_by_focal_lengths(lenses, session.body, found, steps.linking)
     first, recording = linked.cameras, recording_of_links(linked, session.body)
     try:
         now = adjusted(first, session.body, recording).cameras
     except CalibrationError:
-        return first, first  # measured with them as they are
+        return _Located(first, first, linked.instants)  # measured with them as they are
     if not lenses_known:
         refuse_open(now, recording, _ROUGH)
-    return first, now
+    return _Located(first, now, linked.instants)
 
 
 def _measured(
@@ -232,30 +249,62 @@ def _measured(
     registry: Registry,
     steps: _Steps,
     cameras: tuple[Camera, ...],
-    step: int,
+    body_at: Sequence[LinkedInstant],
+    chosen: Ints,
 ) -> list[Measurement]:
-    """Every so-many-th frame set measured, as if the cameras were known exactly."""
+    """Some frame sets measured, as if the cameras were known exactly.
+
+    The tracker is told where the body is, where it knows that worse: from one of them to the next
+    it may have moved far.
+    """
     steps.begin()
     exact = tuple(
         Camera(c.name, replace(c.intrinsics, covariance=None), c.world_from_camera) for c in cameras
     )
-    opened = replace(session, cameras=exact, step=step)
-    return measure_all(opened, profile, registry, steps)[0]
+    build, tracking = partial(build_pipeline, profile, registry), list[Tracker]()
+    times_s, known = np.array([one.time_s for one in body_at]), np.diag(_KNOWN_SD**2)
+    reach_s = (_BESIDE + 0.5) * float(np.median(np.diff(session.pair().times_s)))
+    session = replace(session, cameras=exact, chosen=chosen)
+
+    def build_known(body: Body, cameras: Sequence[Camera]) -> Pipeline:
+        pipeline = build(body, cameras)
+        tracking[:] = [pipeline.stages.tracker]
+        return pipeline
+
+    def frame_sets() -> Iterator[FrameSet]:
+        for frame_set in session.frame_sets():
+            nearest = int(np.argmin(np.abs(times_s - frame_set.time_s)))
+            near = abs(times_s[nearest] - frame_set.time_s) <= reach_s
+            if near and isinstance(tracking[0], PredictiveTracker):
+                at = body_at[nearest]
+                tracking[0].begin_near(Pose(at.time_s, at.world_from_body, known, 0.0, 0.0, (), ()))
+            yield frame_set
+
+    warm_pipeline(profile, registry, session.body, exact)
+    pipeline = calibrated(build_known(session.body, exact), build_known, frame_sets)
+    measured = list[Measurement]()
+    for one in pipeline.measure(frame_sets()):
+        measured.append(one)
+        steps(len(measured))
+    return measured
 
 
 def _settled(
     body: Body,
-    first: tuple[Camera, ...],
-    cameras: tuple[Camera, ...],
-    measure: Callable[[tuple[Camera, ...], int], list[Measurement]],
-    step: int,
+    linked: _Located,
+    measure: Callable[[tuple[Camera, ...], Sequence[LinkedInstant], Ints], list[Measurement]],
+    few: Ints,
+    beside: Ints,
 ) -> AdjustedRig:
     """Measured with the cameras found and adjusted again, until they stay where they are.
 
-    Unknown lenses get as free in the second round as suits instants that are held out.
+    Until then only a few frame sets are measured, then also those beside them: these tell the
+    motion, and with it the clocks. Unknown lenses get as free in the second round as suits instants
+    that are held out.
     """
+    first, cameras, body_at = linked
     for number in range(_MOST_ROUNDS):
-        measured = measure(cameras, step)
+        measured = measure(cameras, body_at, few)
         recording = recording_of(measured, body, None, True, least_motion_mm(body))
         first = moved_to(first, cameras)
         if number == 1:
@@ -263,9 +312,11 @@ def _settled(
         refinement = adjusted(first, body, recording)
         settled = is_settled(cameras, refinement)
         cameras = refinement.cameras
+        poses = [one.pose for one in measured if one.pose is not None]
+        body_at = tuple(LinkedInstant(p.time_s, p.world_from_body, ()) for p in poses)
         if settled and number:
             break
-    if step > 1:
-        measured = measure(cameras, 1)
+    if len(beside) > len(few):
+        measured = measure(cameras, body_at, beside)
     first = moved_to(first, cameras)
     return adjust_measured(first, body, measured, None, loose_prior(first), least_motion_mm(body))

@@ -143,7 +143,8 @@ class Session:
     other_bodies: tuple[Body, ...] = ()  # what else is measured
     reference: str = ""  # the body that others are measured relative to
     scale_sd: float = UNSTATED_SCALE_SD  # of the world: see `Calibration`
-    step: int = 1  # of so many frame sets one is used
+    # numbers of the frame sets that are used, increasing; None: all.
+    chosen: Ints | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -182,7 +183,9 @@ class Session:
     def pair(self) -> Pairing:
         """Frames that form sets (see `pair_nearest`)."""
         whole = pair_nearest([stream.times_s for stream in self.streams.values()])
-        positions, times_s = whole.positions[:: self.step], whole.times_s[:: self.step]
+        if self.chosen is None:
+            return whole
+        positions, times_s = whole.positions[self.chosen], whole.times_s[self.chosen]
         return replace(whole, positions=positions, times_s=times_s)
 
     def clock_notes(self, known: Collection[str]) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from measure.api import calibrating_by_body
 from measure.cli import main
 from measure.geometry import align_points
 from measure.session import read_calibration
@@ -45,9 +46,12 @@ def still(renders, tmp_path) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("searched", [60, 16], ids=["all at once", "a few, then those beside"])
 def test_all_cameras_are_found_without_a_board_or_a_first_calibration(
-    still, renders, tmp_path, capsys
+    still, renders, tmp_path, capsys, monkeypatch, searched
 ):
+    """Of 30 frame sets; a longer recording's cameras are found by some of them first."""
+    monkeypatch.setattr(calibrating_by_body, "_SEARCHED", searched)
     true = renders / "still" / "calibration.toml"
     lenses = lenses_alone(true, tmp_path / "lenses.toml")
     out = tmp_path / "found.toml"
@@ -80,6 +84,24 @@ def test_a_small_motion_leaves_unknown_lenses_open(still, tmp_path, capsys):
     assert "wave the body nearer to cam" in told
     assert "--lenses" in told
     assert not (tmp_path / "found.toml").exists()
+
+
+@pytest.mark.slow
+def test_a_wide_motion_tells_unknown_lenses(shared, tmp_path, capsys):
+    """A body waved through 270 x 200 x 150 mm: focal lengths are right as far as is stated."""
+    render = shared / "renders" / "waved"
+    session = without_calibration(render, tmp_path / "waved")
+    assert calibrated(session, tmp_path / "found.toml", "--json") == 0
+    capsys.readouterr()
+    found = read_calibration(tmp_path / "found.toml")
+    for camera, true in zip(
+        found.cameras, read_calibration(render / "calibration.toml").cameras, strict=True
+    ):
+        lens, expected = camera.intrinsics, np.diag(true.intrinsics.matrix)[:2]
+        sds = np.sqrt(np.diag(lens.covariance)[:2])
+        off = np.diag(lens.matrix)[:2] - expected
+        assert np.all(np.abs(off) < 3 * sds)
+        assert np.all(sds < 0.01 * expected)
 
 
 def test_a_body_at_rest_is_refused(still, renders, tmp_path, capsys):

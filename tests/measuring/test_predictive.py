@@ -67,6 +67,26 @@ def test_covariance_of_the_prediction_is_honest():
     assert np.sqrt(np.trace(ahead.covariance[:3, :3])) < 5
 
 
+def test_a_body_known_from_elsewhere_is_looked_for_there_unless_tracking_knows_better():
+    """Before anything is seen, and while it is tracked: of two places the one better known."""
+    measured, _, tracker = run(RAVEN, one_body(), CAMERAS, 10)
+    last = measured[-1].pose
+    aside = replace(
+        last,
+        world_from_body=RigidTransform(
+            last.world_from_body.rotation, last.world_from_body.translation + np.array([9.0, 0, 0])
+        ),
+        time_s=last.time_s + 1 / 30,
+        covariance=np.diag(np.repeat([4.0, 0.05], 3) ** 2),
+    )
+    for known_mm, expected_mm in ((4.0, 0.0), (0.2, 9.0)):
+        sds = np.repeat([known_mm, 0.05], 3)
+        tracker.begin_near(replace(aside, covariance=np.diag(sds**2)))
+        there = tracker.motion(aside.time_s).world_from_body.translation
+        moved = there - path(aside.time_s).translation
+        assert moved[0] == pytest.approx(expected_mm, abs=1.5)
+
+
 def test_hidden_balls_come_back_at_once():
     hidden = lambda ball, camera, t: camera in ("cam0", "cam1") and 0.2 < t < 0.4
     measured, detectors, _ = run(RAVEN, one_body(), CAMERAS, hide=hidden)

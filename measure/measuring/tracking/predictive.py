@@ -156,6 +156,23 @@ class PredictiveTracker(Tracker):
         association.warm_up(self.cameras)
         calibration_noise(Rig.of(self.cameras), self.body.middle)
 
+    def begin_near(self, pose: model.Pose) -> None:
+        """Take the body to be where it is known to be from elsewhere, unless that is known better.
+
+        To be asked before a frame set of about that time is.
+        """
+        known = None if self._state is None else self._state.at(pose.time_s, self._acceleration)
+        if known is None or np.trace(known.covariance[:3, :3]) > np.trace(pose.covariance[:3, :3]):
+            self._forget()
+            self._state = initial_state(
+                pose.world_from_body,
+                pose.covariance,
+                pose.time_s,
+                self._speed,
+                self._acceleration,
+                None,
+            )
+
     def expect(self, frame_set: model.FrameSet) -> Mapping[str, Sequence[model.Expectation]]:
         """Windows from the predicted pose at each image's own time; the whole frame without one."""
         self._windows = self._found = self._velocity_change = None
