@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 BOUNDS = {
-    "code": 57_800,  # 42,000 is wanted
-    "core": 30_700,  # 23,000 is wanted
+    "code": 57_900,  # 42,000 is wanted
+    "core": 30_750,  # 23,000 is wanted
     "tests": 44_000,  # lines of their files; 31,000 is wanted
 }
 NO_CODE = {

@@ -39,7 +39,7 @@ from measure.geometry import RigidTransform
 from measure.host import Registry, Tracker
 from measure.measuring import Measurement, Pipeline, Profile
 from measure.measuring.burn_in import calibrated
-from measure.measuring.tracking.predictive.tracker import PredictiveTracker
+from measure.measuring.tracking.predictive import PredictiveTracker
 from measure.model import Body, Camera, FrameSet, Intrinsics, Pose, RigObservations
 from measure.processes import Progress, quiet
 from measure.session import (
@@ -205,9 +205,9 @@ class _Steps:
         so_far = self._before + done
         self._progress(so_far, max(self._expected, so_far))
 
-    def linking(self, done: int, total: int) -> None:
+    def linking(self, done: int, total: int | None = None) -> None:
         """So many of the steps of linking are done."""
-        self(_LINKING_SETS * done // total)
+        self(_LINKING_SETS * done // (total or done or 1))
 
 
 class _Located(NamedTuple):
@@ -238,9 +238,10 @@ def _linked(
         now = adjusted(first, session.body, recording).cameras
     except CalibrationError:
         return _Located(first, first, linked.instants)  # measured with them as they are
-    if not lenses_known:
-        refuse_open(now, recording, _ROUGH)
-    return _Located(first, now, linked.instants)
+    if lenses_known:
+        return _Located(first, now, linked.instants)
+    refuse_open(now, recording, _ROUGH)
+    return _Located(first, now, ())  # other lenses place the body elsewhere
 
 
 def _measured(
@@ -262,7 +263,7 @@ def _measured(
         Camera(c.name, replace(c.intrinsics, covariance=None), c.world_from_camera) for c in cameras
     )
     build, tracking = partial(build_pipeline, profile, registry), list[Tracker]()
-    times_s, known = np.array([one.time_s for one in body_at]), np.diag(_KNOWN_SD**2)
+    known = np.diag(_KNOWN_SD**2)
     reach_s = (_BESIDE + 0.5) * float(np.median(np.diff(session.pair().times_s)))
     session = replace(session, cameras=exact, chosen=chosen)
 
@@ -273,11 +274,11 @@ def _measured(
 
     def frame_sets() -> Iterator[FrameSet]:
         for frame_set in session.frame_sets():
-            nearest = int(np.argmin(np.abs(times_s - frame_set.time_s)))
-            near = abs(times_s[nearest] - frame_set.time_s) <= reach_s
-            if near and isinstance(tracking[0], PredictiveTracker):
-                at = body_at[nearest]
-                tracking[0].begin_near(Pose(at.time_s, at.world_from_body, known, 0.0, 0.0, (), ()))
+            at = min(body_at, key=lambda one: abs(one.time_s - frame_set.time_s), default=None)
+            near = at is not None and abs(at.time_s - frame_set.time_s) <= reach_s
+            if at and near and isinstance(tracking[0], PredictiveTracker):
+                pose = Pose(at.time_s, at.world_from_body, known, 0.0, 0.0, (), ())
+                tracking[0].begin_near(pose)
             yield frame_set
 
     warm_pipeline(profile, registry, session.body, exact)
@@ -313,7 +314,8 @@ def _settled(
         settled = is_settled(cameras, refinement)
         cameras = refinement.cameras
         poses = [one.pose for one in measured if one.pose is not None]
-        body_at = tuple(LinkedInstant(p.time_s, p.world_from_body, ()) for p in poses)
+        if body_at:
+            body_at = tuple(LinkedInstant(p.time_s, p.world_from_body, ()) for p in poses)
         if settled and number:
             break
     if len(beside) > len(few):
