@@ -255,7 +255,7 @@ def _measured(
 ) -> list[Measurement]:
     """Some frame sets measured, as if the cameras were known exactly.
 
-    The tracker is told where the body is, where it knows that worse: from one of them to the next
+    The tracker gets the place of the body where it knows that worse: from one of them to the next
     it may have moved far.
     """
     steps.begin()
