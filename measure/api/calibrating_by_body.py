@@ -36,7 +36,7 @@ from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.estimation.focal_length import zoomed
 from measure.geometry import RigidTransform
-from measure.host import Registry, Tracker
+from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile
 from measure.measuring.burn_in import calibrated
 from measure.measuring.tracking.predictive import PredictiveTracker
@@ -262,13 +262,13 @@ def _measured(
     exact = tuple(
         Camera(c.name, replace(c.intrinsics, covariance=None), c.world_from_camera) for c in cameras
     )
-    build, tracking = partial(build_pipeline, profile, registry), list[Tracker]()
-    known = np.diag(_KNOWN_SD**2)
+    warm, known = warm_pipeline(profile, registry, session.body, exact), np.diag(_KNOWN_SD**2)
+    tracking = [warm.stages.tracker]  # of the pipeline that was built last
     reach_s = (_BESIDE + 0.5) * float(np.median(np.diff(session.pair().times_s)))
     session = replace(session, cameras=exact, chosen=chosen)
 
     def build_known(body: Body, cameras: Sequence[Camera]) -> Pipeline:
-        pipeline = build(body, cameras)
+        pipeline = build_pipeline(profile, registry, body, cameras)
         tracking[:] = [pipeline.stages.tracker]
         return pipeline
 
@@ -281,10 +281,8 @@ def _measured(
                 tracking[0].begin_near(pose)
             yield frame_set
 
-    warm_pipeline(profile, registry, session.body, exact)
-    pipeline = calibrated(build_known(session.body, exact), build_known, frame_sets)
     measured = list[Measurement]()
-    for one in pipeline.measure(frame_sets()):
+    for one in calibrated(warm, build_known, frame_sets).measure(frame_sets()):
         measured.append(one)
         steps(len(measured))
     return measured

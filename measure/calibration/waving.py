@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from measure.calibration.views import ALL_VIEWS, BLURRED_SHARE, choose_views, ou
 from measure.errors import CalibrationError, DegenerateGeometryError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
-from measure.model import Body, Intrinsics
+from measure.model import Body, Camera, Intrinsics
 from measure.model.camera import USUAL_FOCAL
 
 _NEW_SHARE = 0.06  # Share of the diagonal by which a view differs from those that are kept
@@ -30,8 +31,9 @@ _SLOW_S = 1.0  # A computer that looks less often than this is reported: hands w
 _CLOSER_LOOKS = 10  # In succession without the board, after which another one is looked for
 _UNSEEN_LOOKS = 30  # In succession, before it is asked whether the board is the one that was chosen
 _FIT_EVERY = 4  # Instants after which the cameras are fitted again
-_FEWEST, COMMON = 8, 4  # Views of a camera, and of two neighbours, from which the fit may decide
-_TILTED_DEG, _TILTS, _DISTANCES = 20.0, 4, 1.3
+_FEWEST, _COMMON = 8, 4  # Views of a camera, and of two neighbours, from which the fit may decide
+TILTED_DEG = 20.0  # From which on a view counts as tilted
+_TILTS, _DISTANCES = 4, 1.3
 _ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
 
 
@@ -142,7 +144,7 @@ class BoardWave:
         ):
             self._now |= dict.fromkeys(names, what)
         good = {name: at for name, at in outlines.items() if name not in (*moving, *blurred)}
-        if not self._is_new(good):
+        if not is_new(good, self._outlines, self._apart_px, self.sizes_wh, _NEW_SHARE):
             return False
         self._keep({name: views[name] for name in good}, good)
         return True
@@ -165,19 +167,15 @@ class BoardWave:
     def look_closer(self, grays: Sequence[Bytes]) -> None:
         """See whether pictures (h, w) of one instant show another board, which is then said.
 
-        It takes a second or two, and so looks at one of them, at another one each time; what was
-        seen holds till the chosen board is.
+        It takes a second a picture: a camera that sees a part of it may take that for a smaller
+        one, and so all are looked at. What was seen holds till the chosen board is.
         """
-        turn = (self._unseen_looks // _CLOSER_LOOKS).bit_length() - 1
-        self._other = other_board(self.board, [grays[turn % len(grays)]]) or self._other
+        self._other = other_board(self.board, grays) or self._other
 
     def state(self) -> WaveState:
         """How far it is."""
         cameras = {name: self._camera(name) for name in self.sizes_wh}
-        pairs = {
-            pair: sum(set(pair) <= set(one) for one in self.kept)
-            for pair in combinations(self.sizes_wh, 2)
-        }
+        pairs = pairs_seen(self.sizes_wh, self.kept)
         state = WaveState(cameras, pairs, self._sd_mm, self.goal_mm, (), self._other)
         return state if state.enough else replace(state, advice=self._lacks(cameras, pairs))
 
@@ -215,37 +213,16 @@ class BoardWave:
         spread_mm = rms_length(points - points.mean(axis=0))
         return float(apart_mm * rms_length(view.pixels - view.pixels.mean(axis=0)) / spread_mm)
 
-    def _is_new(self, outlines: Mapping[str, Floats]) -> bool:
-        """Whether a camera sees the board where it never did, or two that hardly shared a view."""
-        return any(self._is_unlike({name: outlines[name]}) for name in outlines) or any(
-            self._is_unlike({name: outlines[name] for name in pair})
-            for pair in combinations(outlines, 2)
-            if sum({*pair} <= {*kept} for kept in self._outlines) < COMMON
-        )
-
-    def _is_unlike(self, outlines: Mapping[str, Floats]) -> bool:
-        """Whether one of the outlines is unlike those of each instant that all cameras shared."""
-        least = {n: _NEW_SHARE * float(np.hypot(*self.sizes_wh[n])) for n in outlines}
-        return all(
-            any(self._apart_px(at, kept[name]) > least[name] for name, at in outlines.items())
-            for kept in self._outlines
-            if {*outlines} <= {*kept}
-        )
-
     def _is_blurred(self, name: str, view: Corners) -> bool:
         usual = [one[name].sharpness for one in self.kept if name in one]
         return bool(usual) and view.sharpness < BLURRED_SHARE * float(np.median(usual))
 
     def _camera(self, name: str) -> CameraWave:
-        width, height = self.sizes_wh[name]
-        pixels = np.concatenate([np.zeros((0, 2)), *(view.pixels for view in self._views(name))])
-        ends = ((0, height), (0, width))
-        cells = np.histogram2d(pixels[:, 1], pixels[:, 0], bins=3, range=ends)[0]
         tilts, far = np.array(self._poses.get(name, np.zeros((0, 2)))).T
         return CameraWave(
             len(far),
-            cells,
-            int(np.sum(tilts > _TILTED_DEG)),
+            cells_seen(self.sizes_wh[name], [view.pixels for view in self._views(name)]),
+            int(np.sum(tilts > TILTED_DEG)),
             float(np.nanmax(far) / np.nanmin(far)) if np.isfinite(far).any() else np.nan,
             self._last.get(name, np.nan),
             self._now.get(name, Now.NOTHING),
@@ -278,14 +255,66 @@ class BoardWave:
                 model = LENS_MODELS[3]
                 fit = fit_lens(start, points, views.views, model, huber=1.0)
                 lenses[name] = LensCalibration(fit, model, {}, (), views)
-            cameras, around, joint = fit_common_views(self.board, lenses)
-            places = workspace_of(cameras, around).grid()
-            poses = [RigidTransform(np.eye(3), place) for place in places]
-            return rms_length(body_pose_sd(cameras, self.body, poses, joint)[0][:, None]), ""
+            return expected_mm(self.body, *fit_common_views(self.board, lenses)), ""
         except (CalibrationError, DegenerateGeometryError) as problem:
             return float("nan"), str(problem)  # too few views, too much alike, or mirrored
         except ValueError:
             return float("nan"), ""
+
+
+Look = TypeVar("Look")
+
+
+def is_new(
+    looks: Mapping[str, Look],
+    kept: Sequence[Mapping[str, Look]],
+    apart_px: Callable[[Look, Look], float],
+    sizes_wh: Mapping[str, tuple[int, int]],
+    share: float,
+) -> bool:
+    """Whether a camera sees what is waved where it never did, or two that hardly shared a view.
+
+    Args:
+        looks: what cameras see at one instant.
+        kept: the same at the instants that are kept.
+        apart_px: how far two looks of a camera lie apart.
+        sizes_wh: of the pictures.
+        share: of their diagonal by which looks that differ lie apart.
+    """
+    least = {name: share * float(np.hypot(*sizes_wh[name])) for name in looks}
+
+    def is_unlike(*names: str) -> bool:
+        """Whether one of them is unlike at each instant that all of them shared."""
+        return all(
+            any(apart_px(looks[name], one[name]) > least[name] for name in names)
+            for one in kept
+            if {*names} <= {*one}
+        )
+
+    few = [pair for pair, count in pairs_seen(looks, kept).items() if count < _COMMON]
+    return any(is_unlike(name) for name in looks) or any(is_unlike(*pair) for pair in few)
+
+
+def pairs_seen(names: Iterable[str], kept: Sequence[Collection[str]]) -> dict[tuple[str, str], int]:
+    """At how many instants two cameras saw at once what is waved, of all pairs."""
+    return {pair: sum({*pair} <= {*one} for one in kept) for pair in combinations(names, 2)}
+
+
+def cells_seen(size_wh: tuple[int, int], views: Sequence[Floats]) -> Floats:
+    """How many pixels of views (k, 2) lie in each part (3, 3) of a picture."""
+    width, height = size_wh
+    pixels, ends = np.concatenate([np.zeros((0, 2)), *views]), ((0, height), (0, width))
+    return np.histogram2d(pixels[:, 1], pixels[:, 0], bins=3, range=ends)[0]
+
+
+def expected_mm(body: Body, cameras: tuple[Camera, ...], around: Floats, joint: Floats) -> float:
+    """The expected error of a body's position by cameras and their joint covariance.
+
+    3-D, one standard deviation, RMS over the workspace about places (n, 3) mm.
+    """
+    places = workspace_of(cameras, around).grid()
+    poses = [RigidTransform(np.eye(3), place) for place in places]
+    return rms_length(body_pose_sd(cameras, body, poses, joint)[0][:, None])
 
 
 _MENDED = {
@@ -338,7 +367,7 @@ def _unconnected(
     while waiting:
         bridges = [pair for pair in pairs if len(reached & {*pair}) == 1]
         best = max(bridges, key=lambda pair: pairs[pair])
-        if pairs[best] < COMMON:
+        if pairs[best] < _COMMON:
             out.append(best)
         reached |= {*best}
         waiting -= reached

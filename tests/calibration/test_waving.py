@@ -285,6 +285,19 @@ def test_another_board_is_said_till_the_chosen_one_is_seen(rng):
     assert said not in wave.state().advice
 
 
+def test_a_board_that_one_camera_sees_in_part_is_the_one_that_others_see():
+    cells = np.indices((7, 10)).sum(axis=0) % 2 * 255
+    whole = np.pad(np.kron(cells, np.ones((40, 40))), 60, constant_values=255).astype(np.uint8)
+    for grays in ([whole[:, :375], whole], [whole, whole[:, :375]]):
+        wave = wave_of()
+        wave.look_closer(grays)
+        assert wave.state().other.board.inner_corners == (9, 6)
+    alone = wave_of()
+    alone.look_closer([whole[:, :375]])
+    other = alone.state().other
+    assert other is None or other.board.inner_corners != (9, 6)
+
+
 def test_what_two_cameras_share_is_kept_though_each_knows_it(rng):
     """Or the board that is shown to both, as advised, would be refused for ever."""
     wave, views = wave_of(), seen(1.0, rng)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import combinations
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,17 +12,24 @@ from measure.calibration.by_body.adjustment import adjusted, recording_of_links,
 from measure.calibration.by_body.lenses import link_by_focal_lengths, motion_lacks, usual_lens
 from measure.calibration.by_body.linking import Instant, link
 from measure.calibration.by_body.single_view import View, body_poses
-from measure.calibration.findings import workspace_of
 from measure.calibration.refining.recording import ball_places
-from measure.calibration.waving import COMMON, CameraWave, Now, WaveState, advice_of
+from measure.calibration.waving import (
+    TILTED_DEG,
+    CameraWave,
+    Now,
+    WaveState,
+    advice_of,
+    cells_seen,
+    expected_mm,
+    is_new,
+    pairs_seen,
+)
 from measure.errors import CalibrationError, DegenerateGeometryError
-from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Detection, Intrinsics
 
 _FIT_EVERY = 15  # Instants after which the cameras are located anew
 _NEW_SHARE = 0.03  # Share of the diagonal by which a view differs from those that are kept
-_TILTED_DEG = 20.0  # From how the body was held in the first picture that showed all of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +39,10 @@ class _Sighting:
     pixels: Floats  # (k, 2) where all its balls are
     distance_mm: float
     camera_from_body: RigidTransform
+
+    def apart_px(self, other: _Sighting) -> float:
+        """RMS distance of the balls in two pictures of a camera."""
+        return rms_length(self.pixels - other.pixels)
 
 
 @dataclass
@@ -59,7 +69,7 @@ class BodyWave:
         found = {name: self._sighting(name, some) for name, some in detections.items()}
         seen = {name: one for name, one in found.items() if one is not None}
         self._now = dict.fromkeys(seen, Now.SEEN)
-        if not self._is_new(seen):
+        if not is_new(seen, self._seen, _Sighting.apart_px, self.sizes_wh, _NEW_SHARE):
             return False
         self.kept.append(Instant(time_s, detections))
         self._seen.append(seen)
@@ -79,14 +89,14 @@ class BodyWave:
     def state(self) -> WaveState:
         """How far it is."""
         cameras = {name: self._camera(name) for name in self.sizes_wh}
-        pairs = {pair: sum({*pair} <= {*one} for one in self._seen) for pair in _pairs(cameras)}
+        pairs = pairs_seen(cameras, self._seen)
         state = WaveState(cameras, pairs, self._sd_mm, self.goal_mm, ())
         if state.enough:
             return state
         problem = [self._problem] if self._problem else []
         lacks = [*problem, *advice_of(cameras, pairs, "body")]
         lacks = lacks or ["every camera: carry the body to other places, and turn it"]
-        return WaveState(cameras, pairs, self._sd_mm, self.goal_mm, tuple(lacks))
+        return replace(state, advice=tuple(lacks))
 
     def _sighting(self, name: str, detections: Sequence[Detection]) -> _Sighting | None:
         """The body by the pose on which the picture agrees best; None if it is not seen whole."""
@@ -102,37 +112,15 @@ class BodyWave:
         """The lens of a camera whose pictures came; a usual one if it is unknown."""
         return usual_lens(self.sizes_wh[name]) if self.lenses is None else self.lenses[name]
 
-    def _is_new(self, seen: Mapping[str, _Sighting]) -> bool:
-        few = [pair for pair in _pairs(seen) if self._common(pair) < COMMON]
-        return any(self._is_unlike({name: seen[name]}) for name in seen) or any(
-            self._is_unlike({name: seen[name] for name in pair}) for pair in few
-        )
-
-    def _common(self, pair: tuple[str, str]) -> int:
-        return sum({*pair} <= {*one} for one in self._seen)
-
-    def _is_unlike(self, seen: Mapping[str, _Sighting]) -> bool:
-        """Whether one camera sees it elsewhere than at each instant that all of them shared."""
-        least = {name: _NEW_SHARE * float(np.hypot(*self.sizes_wh[name])) for name in seen}
-        return all(
-            any(rms_length(at.pixels - one[name].pixels) > least[name] for name, at in seen.items())
-            for one in self._seen
-            if {*seen} <= {*one}
-        )
-
     def _camera(self, name: str) -> CameraWave:
-        width, height = self.sizes_wh[name]
         own = [one[name] for one in self._seen if name in one]
-        pixels = np.concatenate([np.zeros((0, 2)), *(one.pixels for one in own)])
-        cells = np.histogram2d(pixels[:, 1], pixels[:, 0], bins=3, range=((0, height), (0, width)))[
-            0
-        ]
         far = np.array([one.distance_mm for one in own])
+        # Tilted from how the body was held in the first picture that showed all of it.
         turns = [one.camera_from_body @ own[0].camera_from_body.inverse() for one in own]
-        turned = [np.degrees(np.linalg.norm(turn.rotvec)) > _TILTED_DEG for turn in turns]
+        turned = [np.degrees(np.linalg.norm(turn.rotvec)) > TILTED_DEG for turn in turns]
         return CameraWave(
             len(own),
-            cells,
+            cells_seen(self.sizes_wh[name], [one.pixels for one in own]),
             int(np.sum(turned)),
             float(far.max() / far.min()) if own else np.nan,
             np.nan,
@@ -154,15 +142,6 @@ class BodyWave:
                 return float("nan"), lacks
             shape = shape_of(refinement, body, recording)
             around = ball_places(recording.world_from_body, body.centers)
-            poses = [
-                RigidTransform(np.eye(3), place)
-                for place in workspace_of(shape.cameras, around).grid()
-            ]
-            sd_mm = body_pose_sd(shape.cameras, body, poses, shape.joint)[0]
-            return rms_length(sd_mm[:, None]), ""
+            return expected_mm(body, shape.cameras, around, shape.joint), ""
         except (CalibrationError, DegenerateGeometryError) as problem:
             return float("nan"), str(problem)
-
-
-def _pairs(names: Mapping[str, object]) -> list[tuple[str, str]]:
-    return list(combinations(names, 2))

@@ -484,21 +484,17 @@ def not_the_robot(seen: Sightings, coupled: tuple[int, ...] = ()) -> str | None:
     causes = [explain_by(seen, blocks) for blocks in itertools.chain(*combined)]
     own_mm = _own_left_mm(seen, coupled)
     cause = likeliest(causes, min(size, own_mm), _LEAST_RMS_MM)
-    if cause is None and seen.chain is not None and "delay" in free:
-        cause = _late(seen, seen.chain, coupled, own_mm)
+    if cause is None and "delay" in free:
+        cause = _late(seen, coupled, own_mm)
     if cause is None or (seen.chain is None and _as_homed(cause, seen)):
         return unexplained
     return f"{said}: {_words(cause)}"
 
 
-def _late(
-    seen: Sightings, chain: SerialChain, coupled: tuple[int, ...], own_mm: float
-) -> Explanation | None:
+def _late(seen: Sightings, coupled: tuple[int, ...], own_mm: float) -> Explanation | None:
     """A clock that is off, if it explains what joints that are homed wrongly leave, `own_mm`."""
     both = explain_by(seen, ("frame", "delay"))  # the frame takes what homing does
-    slopes = chain.jacobian(seen.joints)[:, :3]
-    rest = LinearModel.of(both.state, seen).residuals
-    left_mm = _own_left(rest, slopes, seen.joints, chain, coupled)
+    left_mm = _own_left_mm(seen, coupled, LinearModel.of(both.state, seen).residuals)
     late = replace(both, blocks=("delay",), left_mm=left_mm)
     return likeliest([late], own_mm, _LEAST_RMS_MM * EXPLAINED)
 
@@ -590,11 +586,15 @@ def not_the_tip(schema: StateSchema, states: Floats, measured: Floats) -> str | 
     )
 
 
-def _own_left_mm(seen: Sightings, coupled: Sequence[int]) -> float:
-    """RMS of what joints homed wrongly, and a wrist's gains, leave of labels; inf if not known."""
+def _own_left_mm(seen: Sightings, coupled: Sequence[int], errors: Floats | None = None) -> float:
+    """RMS of what joints homed wrongly, and a wrist's gains, leave of errors (n, 3) in mm.
+
+    Those are the labels if omitted. It is infinite if the chain is not known.
+    """
     if (chain := seen.chain) is None:
         return np.inf
-    errors, slopes = seen.places_mm - seen.reported_mm, chain.jacobian(seen.joints)[:, :3]
+    slopes = chain.jacobian(seen.joints)[:, :3]
+    errors = seen.places_mm - seen.reported_mm if errors is None else errors
     return _own_left(errors, slopes, seen.joints, chain, coupled)
 
 

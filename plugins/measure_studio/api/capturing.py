@@ -71,8 +71,7 @@ def capture_board(
     options, names = options or CaptureOptions(), [one.name for one in cameras]
     options.check()
     check_folder(out, options.overwrite, _MARK)
-    if not (math.isfinite(goal_mm) and goal_mm > 0):
-        raise ConfigError(f"--goal-mm {goal_mm:g}: expected a length in mm above 0")
+    _check_goal(goal_mm)
     check_names(names)
     target = api.find_target(Path(board))
     pattern, measured = api.read_board(target), paper_body() if body is None else read_body(body)
@@ -81,6 +80,11 @@ def capture_board(
             _begin(out, target, names)
         wave = api.BoardWave(pattern, {}, measured, goal_mm)
         return _wave(opened, wave, out, on_state, on_corners)
+
+
+def _check_goal(goal_mm: float) -> None:
+    if not (math.isfinite(goal_mm) and goal_mm > 0):
+        raise ConfigError(f"--goal-mm {goal_mm:g}: expected a length in mm above 0")
 
 
 def _wave(
@@ -147,6 +151,7 @@ def capture_body(
     options, names = options or CaptureOptions(), [one.name for one in cameras]
     options.check()
     check_folder(out, options.overwrite, SESSION)
+    _check_goal(goal_mm)
     check_names(names)
     measured = paper_body() if body is None else read_body(body)
     known = None if lenses is None else api.read_intrinsics(lenses)

@@ -58,17 +58,13 @@ class _Wave:
         bench, cameras = self.bench, self.bench.addresses()
 
         def work(job: Job) -> str:
-            out = bench.folder / studio_api.next_free(bench.folder, "capture")
-            self.capture, self.state, self.result = out, None, None
-            self.is_waved, self.suffices, self.what = True, False, "board"
+            out, options = self._begin(job, "capture", "board")
             try:
                 last = studio_api.capture_board(
                     cameras,
                     bench.target(),
                     out,
-                    studio_api.CaptureOptions(
-                        bench.request, on_image=bench.preview.add, stop=job.stop
-                    ),
+                    options,
                     body=body,
                     goal_mm=self.goal_mm,
                     on_state=partial(setattr, self, "state"),
@@ -94,18 +90,14 @@ class _Wave:
         bench, cameras = self.bench, self.bench.addresses()
 
         def work(job: Job) -> str:
-            out = bench.folder / studio_api.next_free(bench.folder, "waved")
-            self.capture, self.state, self.result = out, None, None
-            self.is_waved, self.suffices, self.what = True, False, "body"
+            out, options = self._begin(job, "waved", "body")
             last = None
             try:
                 last = studio_api.capture_body(
                     cameras,
                     out,
                     bench.registry,
-                    studio_api.CaptureOptions(
-                        bench.request, on_image=bench.preview.add, stop=job.stop
-                    ),
+                    options,
                     body=body,
                     lenses=lenses,
                     goal_mm=self.goal_mm,
@@ -125,6 +117,17 @@ class _Wave:
             return said
 
         bench.begin("watching the body", work, needs_cameras=True)
+
+    def _begin(self, job: Job, folder: str, what: str) -> tuple[Path, studio_api.CaptureOptions]:
+        """Forget what was waved before; where pictures go, and how cameras are read."""
+        bench = self.bench
+        out = bench.folder / studio_api.next_free(bench.folder, folder)
+        self.capture, self.state, self.result = out, None, None
+        self.is_waved, self.suffices, self.what = True, False, what
+        options = studio_api.CaptureOptions(
+            bench.request, on_image=bench.preview.add, stop=job.stop
+        )
+        return out, options
 
     def _see_balls(
         self, images: Sequence[api.Image], balls: Mapping[str, Sequence[api.Detection]]
