@@ -43,6 +43,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "set_up_in_the_browser.md
 AZIMUTHS_DEG = (60.0, 90.0, 120.0)
 MAGENTA = "pink"  # As the program calls it
 CHIPS = "document.querySelectorAll('[data-ball]{}').length"
+WATCH_SIZES = """window.sizes = [];
+setInterval(() => sizes.push(document.querySelector('img.live').naturalWidth), 2); true"""
+"""JavaScript: a picture without a size, while the next one takes its place, hears no click."""
 
 
 @dataclass(frozen=True)
@@ -211,6 +214,7 @@ def click_balls(page, home):
     page.wait_for(f"{CHIPS.format('')} == 4", 120)
     top = "document.querySelector('img.live').getBoundingClientRect().top + scrollY"
     before = page.evaluate(top)
+    page.evaluate(WATCH_SIZES)
     desk.click_at(page, "img.live", 20, 20)
     page.wait_for("document.body.innerText.includes('no ball-like patch')", 20)
     assert not (home / "colours.toml").exists()
@@ -223,6 +227,8 @@ def click_balls(page, home):
     page.wait_until((home / "colours.toml").exists, "blue is learnt", 20)
     page.wait_for("/learnt/.test(document.querySelector('[data-ball=blue]').innerText)", 20)
     assert page.evaluate(top) == before
+    page.wait_for("sizes.length > 1000", 60)
+    assert page.evaluate("sizes.filter((width) => !width).length") == 0
 
 
 def make_the_body(page, waits):

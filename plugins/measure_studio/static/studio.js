@@ -12,8 +12,10 @@ async function refresh() {
     try {
       const answer = await fetch(image.dataset.live);
       if (answer.status === 200) {
-        const old = image.src;
-        image.src = URL.createObjectURL(await answer.blob());
+        const old = image.src, next = new Image();
+        next.src = URL.createObjectURL(await answer.blob());
+        await next.decode(); // Or it had no size for a moment, and a click into it would be lost.
+        image.src = next.src;
         if (old.startsWith("blob:")) URL.revokeObjectURL(old);
       }
       image.classList.toggle("missing", answer.status !== 200);
