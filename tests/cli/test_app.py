@@ -289,9 +289,9 @@ def _cpu_s(*arguments: str) -> float:
 
 
 def test_help_costs_little_cpu():
-    """0.3 s where an empty python takes 0.03 s; a slow or busy machine stretches both."""
-    empty = _cpu_s("-c", "pass")
-    assert _cpu_s("-m", "measure", "--help") < max(0.3, 10 * empty)
+    """0.3 s, of which 0.17 s go to importing what prints it; a busy machine stretches both."""
+    printer = _cpu_s("-c", "import cyclopts, rich.console, rich.panel, rich.table")
+    assert _cpu_s("-m", "measure", "--help") < 3 * printer
 
 
 @pytest.mark.parametrize("words", ["plugins list --json", "evaluate nowhere 2>&1"])
