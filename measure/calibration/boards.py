@@ -46,6 +46,13 @@ class Corners:
             return self
         return replace(self, pixels=self.by_gradient)
 
+    def only(self, places: Ints) -> Corners:
+        """The same view with some of its corners."""
+        by_gradient = None if self.by_gradient is None else self.by_gradient[places]
+        return replace(
+            self, ids=self.ids[places], pixels=self.pixels[places], by_gradient=by_gradient
+        )
+
 
 class MirroredBoardError(CalibrationError):
     """A picture that shows a board only when mirrored: a selfie mode, or the board's back.
@@ -325,16 +332,19 @@ def _corners(ids: Ints, pixels: Floats, gray: Bytes, source: str) -> Corners:
     return Corners(ids, pixels, sharpness(gray, pixels), source, refined)
 
 
+def spacing_px(pixels: Floats) -> float:
+    """The least distance of two corners (n, 2)."""
+    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
+    return float(np.min(apart + np.diag(np.full(len(pixels), np.inf))))
+
+
 def refine_by_gradient(gray: Bytes, pixels: Floats) -> Floats:
     """Corners (n, 2) where the grey gradients around each are perpendicular to the way there.
 
     Förstner 1987, in OpenCV's `cornerSubPix`; the window reaches a third of the way to the nearest
     other corner.
     """
-    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2) + np.diag(
-        np.full(len(pixels), 1e9)
-    )
-    half = int(np.clip(np.min(apart) / 3, 3, 15))
+    half = int(np.clip(spacing_px(pixels) / 3, 3, 15))
     start = np.ascontiguousarray(pixels.reshape(-1, 1, 2), dtype=np.float32)
     refined = cv2.cornerSubPix(gray, start, (half, half), (-1, -1), (3, 50, 1e-3))
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import get_args
@@ -17,7 +17,7 @@ from measure.calibration.board_views import (
     fit_lens,
     start_intrinsics,
 )
-from measure.calibration.boards import Board, CornerRule, Corners
+from measure.calibration.boards import MIN_POINTS, Board, CornerRule, Corners, spacing_px
 from measure.calibration.views import MIN_VIEWS, ViewSet
 from measure.errors import CalibrationError
 from measure.limits import CLEAR_RATIO, SIGNIFICANT_SIGMAS
@@ -72,9 +72,18 @@ def calibrate_lens(
 def _calibrate(
     board: Board, views: ViewSet, camera: str, projection: Projection
 ) -> LensCalibration:
-    models = MODELS_OF[projection]
-    views = _without_bad_views(board, views, camera, models[1])
-    views, rule = _better_corners(board.points, views, (models[3], models[1]))
+    models, by_rule = MODELS_OF[projection], dict[CornerRule, ViewSet]()
+    problems = list[CalibrationError]()
+    for rule in get_args(CornerRule):
+        localised = replace(views, views=tuple(view.localised(rule) for view in views.views))
+        try:
+            by_rule[rule] = _agreeing(board, localised, camera, models[1])
+        except CalibrationError as problem:
+            problems.append(problem)
+    if not by_rule:
+        raise problems[0]
+    rule = _better_corners(board.points, by_rule, (models[3], models[1]))
+    views = by_rule[rule]
     model, held_out, reasons = _choose_model(board.points, views, models)
     fit = _fit(board.points, views, views.views, model)
     _refuse_implausible(fit, camera)
@@ -160,45 +169,59 @@ def _fisheye_advice(points: Floats, views: ViewSet, pinhole_px: float) -> str:
     )
 
 
-def _without_bad_views(board: Board, views: ViewSet, camera: str, model: LensModel) -> ViewSet:
-    """Leave out views whose corners do not fit the lens of the other views."""
+def _agreeing(board: Board, views: ViewSet, camera: str, model: LensModel) -> ViewSet:
+    """Without views, and corners of views, that do not fit the lens of the others.
+
+    A board that is seen at a slant has corners that are localised badly: its others count. One of
+    which a corner lies where another one belongs is numbered wrongly, and does not.
+    """
     kept, left_out = list(views.views), dict(views.left_out)
     while True:
         fit = _fit(board.points, views, tuple(kept), model, huber=1.0)
-        rms = fit.view_rms_px()
-        worst = int(np.argmax(rms))
-        if rms[worst] <= CLEAR_RATIO * np.median(rms) + 0.1:
-            return replace(views, views=tuple(kept), left_out=left_out)
+        lengths = np.linalg.norm(fit.residuals, axis=1)
+        misses = [lengths[fit.view_of == number] for number in range(len(kept))]
+        of_views = np.array([np.median(own) for own in misses])
+        usual = float(np.median(of_views))
+        most = CLEAR_RATIO * usual + 0.1
+        sound = [np.flatnonzero(own <= most) for own in misses]
+        for number, (view, own) in enumerate(zip(kept, misses, strict=True)):
+            if np.max(own) > spacing_px(view.pixels) / 2 or len(sound[number]) < MIN_POINTS:
+                of_views[number] = np.max(own)
+        worst = int(np.argmax(of_views))
+        if of_views[worst] <= most:
+            agreeing = tuple(map(Corners.only, kept, sound))
+            return replace(views, views=agreeing, left_out=left_out)
         left_out[kept[worst].source] = (
-            f"its corners miss by {rms[worst]:.2f} px, the others by {np.median(rms):.2f} px"
+            f"its corners miss by {of_views[worst]:.2f} px, the others by {usual:.2f} px"
         )
         del kept[worst]
         if len(kept) < MIN_VIEWS:
             raise CalibrationError(
-                f"camera {camera}: the views contradict each other ({rms[worst]:.1f} px); check "
-                "the board's numbers of corners and that it is flat"
+                f"camera {camera}: only {len(kept)} views of the board agree with each other, the "
+                f"next one misses by {of_views[worst]:.1f} px; take more pictures, nearer or less "
+                "tilted; if that does not help, check the board's numbers of corners and that it "
+                "is flat"
             )
 
 
 def _better_corners(
-    points: Floats, views: ViewSet, models: tuple[LensModel, ...]
-) -> tuple[ViewSet, CornerRule]:
-    """The views with corners localised by whichever rule fits held-out views better."""
-    candidates: dict[CornerRule, ViewSet] = {
-        rule: replace(views, views=tuple(view.localised(rule) for view in views.views))
-        for rule in get_args(CornerRule)
+    points: Floats, by_rule: Mapping[CornerRule, ViewSet], models: tuple[LensModel, ...]
+) -> CornerRule:
+    """The rule by which held-out views that agree by each of them fit better."""
+    names = [{view.source for view in views.views} for views in by_rule.values()]
+    common = set.intersection(*names)
+    candidates = {
+        rule: replace(found, views=tuple(v for v in found.views if v.source in common))
+        for rule, found in by_rule.items()
     }
     errors: dict[CornerRule, float] = {}
-    for model in models:
+    for model in models if len(common) >= MIN_VIEWS else ():
         try:
             errors = {r: _held_out_rms(points, v, model) for r, v in candidates.items()}
             break
         except CalibrationError:  # too few views for so free a model: compare with a stiffer one
             continue
-    if not errors:
-        return views, "pattern"
-    rule = min(errors, key=lambda name: errors[name])
-    return candidates[rule], rule
+    return min(errors or by_rule, key=lambda name: errors.get(name, -len(by_rule[name].views)))
 
 
 def _choose_model(

@@ -86,6 +86,21 @@ def test_a_view_with_wrong_corners_is_left_out_and_named() -> None:
     assert abs(found.intrinsics.focal_px - lens(0).focal_px) < 2
 
 
+def test_badly_localised_corners_of_slanted_views_are_left_out_alone() -> None:
+    """Three of seven views were left out for them, and what remained was refused."""
+    views = list(board_views(lens(0), np.random.default_rng(8), count=7))
+    for number in (1, 3, 5):
+        pixels = views[number].pixels.copy()
+        pixels[:6] += np.random.default_rng(number).normal(0, 0.9, (6, 2))
+        views[number] = replace(views[number], pixels=pixels)
+    found = calibrate_lens(BOARD, choose_views(BOARD, views, SIZE, "cam0"), "cam0")
+    assert found.views.left_out == {}
+    counts = [len(BOARD.points) - len(view.ids) for view in found.views.views]
+    assert all(3 <= counts[number] <= 7 for number in (1, 3, 5)), counts
+    assert all(counts[number] <= 1 for number in (0, 2, 4, 6)), counts
+    assert abs(found.intrinsics.focal_px - lens(0).focal_px) < 3
+
+
 def test_too_few_views_are_refused() -> None:
     views = board_views(lens(0), np.random.default_rng(0), count=4)
     with pytest.raises(CalibrationError, match="4 different sharp views"):
