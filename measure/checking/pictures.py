@@ -292,8 +292,7 @@ def damage_findings(camera: str, frames: Sequence[int], count: int) -> list[Find
     which = "frames" if len(frames) > 1 else "frame"
     text = (
         f"{camera}: {len(frames)} of {count} pictures are damaged ({which} {named}): a part is "
-        "missing, and what decodes in its place is grey or shifted; copy them again from where "
-        "they were recorded, or remove the files, and their frames count as missing"
+        "missing; `measure run` leaves them out: copy them again from where they were recorded"
     )
     return [Finding(Level.WRONG, "frames", text)]
 

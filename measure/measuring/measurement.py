@@ -188,10 +188,14 @@ class Measurement:
         pose = replace(self.pose, flags=(*self.pose.flags, flag))
         return replace(self, pose=pose, status=Status.FLAGGED)
 
-    def without_images(self, copies: Mapping[str, str], repeated: Sequence[str]) -> Measurement:
+    def without_images(
+        self, copies: Mapping[str, str], repeated: Sequence[str], damaged: Mapping[str, str]
+    ) -> Measurement:
         """The same, saying whose images are left out and why: a pose without them is no worse."""
         said = [f"{copy} shows the pictures of {whose}" for copy, whose in copies.items()]
         said += [f"{name} repeats its last picture" for name in repeated]
+        files = ", ".join(f"{file} of {name}" for name, file in damaged.items())
+        said += [f"damaged or cut off, and left out: {files}"] if files else []
         same = replace(self, copies=dict(copies), repeated=tuple(repeated))
         return same.noted("; ".join(said))
 

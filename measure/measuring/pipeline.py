@@ -150,7 +150,7 @@ class Pipeline:
                 status=Status.SKIPPED,
                 reason="restarting",
             )
-            return Draft(skipped, ())
+            return Draft(skipped.without_images({}, (), frame_set.damaged), ())
         draft = self._measure_once(frame_set, expected, pool)
         if self.stages.remeasure_after_search:
             draft = self._remeasured(frame_set, self._searched(frame_set, draft, pool), pool)
@@ -189,7 +189,9 @@ class Pipeline:
         """Name cameras whose images are not theirs, woven or blurred; flag what those spoil."""
         pose, duplicates = draft.measurement.pose, self._duplicates
         shared = duplicates.judge(new.shared, () if pose is None else pose.cameras)
-        measured = draft.measurement.without_images(duplicates.copies, new.repeated)
+        measured = draft.measurement.without_images(
+            duplicates.copies, new.repeated, new.frame_set.damaged
+        )
         draft = replace(draft, measurement=measured)
         seen = (v.detection for v in draft.measurement.views if v.effective and v.detection)
         steps = self._steps.of(new.frame_set, seen, self._steps.due(draft.measurement.index))

@@ -59,6 +59,8 @@ class FrameSet:
     index: int  # number of the set in the session
     time_s: float  # the instant
     images: dict[str, Image]  # by camera name
+    # cameras whose image is damaged, and left out, with the name of its file.
+    damaged: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

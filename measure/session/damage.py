@@ -7,11 +7,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import repeat
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from measure.errors import SessionError
 from measure.session.pictures import JPEG_END, JPEG_SCAN, is_complete_jpeg
-from measure.session.streams import Stream
+
+if TYPE_CHECKING:
+    from measure.session.streams import Stream
 
 _STRAY_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xdc\xff]", re.DOTALL)
 """Within a scan only a restart or the number of lines may stand (ITU-T T.81, B.1.1)."""
@@ -57,7 +59,8 @@ def _decodes(jpeg: bytes, options: dict[str, str]) -> bool:
     import av
 
     decoder = av.CodecContext.create("mjpeg", "r")
-    decoder.options = options
+    decoder.options = {**options, "lowres": "3"}  # All of the scan is read, an eighth of it drawn
+    decoder.thread_count = 1
     try:
         return bool(decoder.decode(av.Packet(jpeg)) + decoder.decode(None))
     except av.error.FFmpegError:

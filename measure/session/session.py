@@ -18,6 +18,7 @@ from measure.errors import SessionError
 from measure.limits import GAP_PERIODS
 from measure.model import Body, Camera, FrameSet, Image
 from measure.session.calibration_file import UNSTATED_SCALE_SD
+from measure.session.damage import is_damaged
 from measure.session.streams import Stream
 
 
@@ -219,10 +220,11 @@ def stream_frame_sets(
     """Yield frame sets in order; at most `prefetch` + 1 sets are held here at any time.
 
     Each camera has a thread that reads its frames one after the other, as suits a video best. A
-    picture that cannot be read raises when its own frame set is due, not earlier.
+    picture that cannot be read raises when its own frame set is due, not earlier. A JPEG that is
+    cut off or damaged is left out, undecoded.
     """
     pools = {stream.name: ThreadPoolExecutor(1, "decode") for stream in streams}
-    ahead: deque[tuple[int, dict[str, Future[Image]]]] = deque()
+    ahead: deque[tuple[int, dict[str, Future[Image | str]]]] = deque()
     due = iter(range(start, len(pairing.times_s)))
     try:
         while True:
@@ -233,16 +235,21 @@ def stream_frame_sets(
             if not ahead:
                 return
             index, futures = ahead.popleft()
-            images = {name: future.result() for name, future in futures.items()}
+            read_images = {name: future.result() for name, future in futures.items()}
             futures.clear()
-            yield FrameSet(index, float(pairing.times_s[index]), images)
-            del images
+            images = {n: image for n, image in read_images.items() if isinstance(image, Image)}
+            damaged = {n: file for n, file in read_images.items() if isinstance(file, str)}
+            yield FrameSet(index, float(pairing.times_s[index]), images, damaged)
+            del read_images, images
     finally:
         for pool in pools.values():
             pool.shutdown(cancel_futures=True)
 
 
-def _read(stream: Stream, position: int) -> Image:
+def _read(stream: Stream, position: int) -> Image | str:
+    """The image, decoded; if its JPEG is damaged, the name of the file instead."""
     image = stream.read(position)
+    if image.encoded is not None and is_damaged(image.encoded):
+        return stream.file_name(position)
     _ = image.pixels
     return image

@@ -79,6 +79,12 @@ class Stream(ABC):
         """Camera and frame, for messages."""
         return f"camera '{self.name}', frame {self.frames[index]}"
 
+    def file_name(self, index: int) -> str:
+        """The name of the file that holds a frame, and which of its frames if there are several."""
+        if len(self.files) == len(self):
+            return self.files[index].name
+        return f"frame {self.frames[index]} of {Path(self.source).name}"
+
     def check_index(self, index: int) -> None:
         """Refuse a position outside the recording."""
         if not 0 <= index < len(self):

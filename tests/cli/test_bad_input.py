@@ -59,13 +59,11 @@ def test_what_is_missing_is_not_sought_among_outputs_that_are_begun(tmp_path, ca
     assert line.endswith(f"nowhere: no such file or folder; {tmp_path} holds seen")
 
 
-def test_a_truncated_picture_on_the_way_keeps_what_was_measured(
-    recording: Recording, capsys
-) -> None:
-    (recording.path / "cam1/000004.jpg").write_bytes(jpeg(80)[:-30])
+def test_a_broken_picture_on_the_way_keeps_what_was_measured(recording: Recording, capsys) -> None:
+    (recording.path / "cam1/000004.jpg").write_bytes(b"hello")
     line = complaint(capsys, *run_words(recording))
     assert "camera 'cam1', frame 4: " in line
-    assert "000004.jpg: truncated JPEG" in line
+    assert "000004.jpg: not a picture" in line
     run = read_run(recording.path.with_name("run"))
     assert not run.finished
     assert run.poses["index"].to_pylist() == [0, 1, 2, 3]
@@ -104,15 +102,21 @@ def test_a_run_that_finds_nothing_says_where_to_look(recording: Recording, capsy
     assert "cam1: 3 of 3 pictures are grey" in said  # three equal channels
 
 
-def test_a_truncated_picture_keeps_what_waits_for_later_pictures(
-    recording: Recording, capsys
-) -> None:
+def test_a_broken_picture_keeps_what_waits_for_later_pictures(recording: Recording, capsys) -> None:
     """`precise` brings pictures to one instant by the poses round it, so it works in arrears."""
-    (recording.path / "cam1/000004.jpg").write_bytes(jpeg(80)[:-30])
+    (recording.path / "cam1/000004.jpg").write_bytes(b"hello")
     out = recording.path.with_name("run")
     line = complaint(capsys, "run", recording.path, "-o", out, "--no-recording")
-    assert "000004.jpg: truncated JPEG" in line
+    assert "000004.jpg: not a picture" in line
     assert read_run(out).poses["index"].to_pylist() == [0, 1, 2, 3]
+
+
+def test_a_torn_picture_is_named_and_measured_without(recording: Recording, capsys) -> None:
+    for camera in ("cam1", "cam2"):
+        (recording.path / camera / "000002.jpg").write_bytes(jpeg(40)[:-30])
+    assert main([*run_words(recording)]) == 0
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert "1 x damaged or cut off, and left out: 000002.jpg of cam1, 000002.jpg of cam2" in lines
 
 
 def test_a_missing_picture_is_noted_and_measured_without(recording: Recording, capsys) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from measure.errors import SessionError
 from measure.session import open_session, read_body, read_calibration
-from tests.session.conftest import Recording, jpeg, write_recording
+from tests.session.conftest import SIZE_WH, Recording, jpeg, write_recording
 from tests.session.videos import write_video
 
 
@@ -158,11 +158,7 @@ def test_an_unreadable_file_is_named_whoever_reads(
 
 @pytest.mark.parametrize(
     ("data", "words"),
-    [
-        (jpeg(60)[:-40], "truncated JPEG"),
-        (jpeg(60, (32, 24)), "is 32x24 px, the first image 64x48"),
-        (b"hello", "not a picture"),
-    ],
+    [(jpeg(60, (32, 24)), "is 32x24 px, the first image 64x48"), (b"hello", "not a picture")],
 )
 def test_a_bad_image_raises_at_its_own_frame(recording: Recording, data: bytes, words: str) -> None:
     (recording.path / "cam2/000003.jpg").write_bytes(data)
@@ -174,3 +170,23 @@ def test_a_bad_image_raises_at_its_own_frame(recording: Recording, data: bytes, 
         done.extend(frame_set.index for frame_set in session.frame_sets(prefetch=4))
     assert done == [0, 1, 2]
     assert words in str(caught.value)
+
+
+def test_a_damaged_jpeg_is_left_out_undecoded_and_named(recording: Recording, capfd) -> None:
+    """What lacks a part decodes to grey or shifted blocks; libjpeg says so, but not of which."""
+    pixels = np.random.default_rng(1).integers(0, 255, (*SIZE_WH[::-1], 3), np.uint8)
+    whole = cv2.imencode(".jpg", pixels)[1].tobytes()
+    half = len(whole) // 2
+    given = {1: whole[:half], 2: whole[:half] + whole[half + 300 :], 3: whole}
+    for frame, data in given.items():
+        (recording.path / f"cam2/{frame:06d}.jpg").write_bytes(data)
+    with open_session(recording.path) as session:
+        frame_sets = list(session.frame_sets())
+    assert [dict(one.damaged) for one in frame_sets] == [
+        {},
+        {"cam2": "000001.jpg"},
+        {"cam2": "000002.jpg"},
+        *[{}] * 3,
+    ]
+    assert ["cam2" in one.images for one in frame_sets] == [True, False, False, True, True, True]
+    assert "Corrupt" not in capfd.readouterr().err
