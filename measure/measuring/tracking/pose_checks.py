@@ -257,13 +257,19 @@ class PoseChecks:
 
 
 def _balls_seen_elsewhere(table: ResidualTable) -> Iterator[str]:
-    """Balls detected elsewhere by two cameras, or by as many as detect them where predicted."""
+    """Balls detected elsewhere by two cameras, or by as many as detect them where predicted.
+
+    The edge that another ball leaves of one whose centre it hides contradicts nothing.
+    """
     effective = [d.ball for d in table.effective]
-    for ball, against in table.elsewhere("ball", _ELSEWHERE_LATELY).items():
-        if len(against) >= min(_ENOUGH, max(effective.count(ball), 1)):
-            cameras = ", ".join(view.camera for view in against)
+    body, centers = table.body, table.pose.world_from_body.apply(table.body.centers)
+    for ball, views in table.elsewhere("ball", _ELSEWHERE_LATELY).items():
+        there, index = {view.camera for view in views}, body.index(ball)
+        cameras = [camera for camera in table.cameras if camera.name in there]
+        names = [camera.name for camera in cameras if _in_sight(camera, body, centers, index)]
+        if len(names) >= min(_ENOUGH, max(effective.count(ball), 1)):
             yield (
-                f"ball {ball} is seen elsewhere by {cameras}: "
+                f"ball {ball} is seen elsewhere by {', '.join(names)}: "
                 "a wrong body file, another ball, or a camera that was moved?"
             )
 

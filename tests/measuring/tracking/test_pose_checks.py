@@ -179,6 +179,22 @@ def test_contradictions_after_a_search_are_flagged(reasons, times_s, flagged):
     assert any(flag.startswith("just found") for flag in flags) == flagged
 
 
+@pytest.mark.parametrize("hidden", [True, False])
+def test_what_another_ball_leaves_of_a_hidden_one_contradicts_nothing(hidden):
+    """Green and red lie behind each other as cam0 sees them."""
+    rig = ring(4)
+    toward = rig["cam0"].center - TARGET
+    x = toward / np.linalg.norm(toward) * (1 if hidden else -1)
+    y = np.cross([0, 0, 1], x) / np.linalg.norm(np.cross([0, 0, 1], x))
+    place = RigidTransform(np.stack([x, y, np.cross(x, y)], axis=1), TARGET)
+    views = [_view("red", "cam0", Reason.INCONSISTENT), _view("red", "cam1", Reason.NONE)]
+    views += [_view(ball, camera, Reason.NONE) for ball in ("green", "yellow") for camera in rig]
+    pose = Pose(0.0, place, np.eye(6) * 1e-4, 0.01, 0.05, tuple(rig), RAVEN.names)
+    table = ResidualTable(pose, views, {}, RAVEN, list(rig.values()), EDGES_PX)
+    flags = PoseChecks(PredictiveConfig()).soft(table, lambda: None)
+    assert any("ball red is seen elsewhere by cam0" in flag for flag in flags) != hidden
+
+
 def test_a_ball_is_flagged_until_two_cameras_saw_it():
     checks = PoseChecks(PredictiveConfig())
     text = "has not been seen where"
