@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from measure.api.measuring import measure_bodies, why_not_kept
 from measure.api.run_log import LogOptions, RunLog
-from measure.checking import ColorlessCount
+from measure.checking import ColorlessCount, Finding, Level
 from measure.checking.pictures import stamp_causes
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
@@ -147,7 +147,7 @@ def provenance(
     session: str,
     session_digest: str,
     session_name: str,
-    notes: tuple[str, ...],
+    notes: tuple[Finding, ...],
     scale_sd: float,
     keep: Keep | None = None,
 ) -> Provenance:
@@ -177,6 +177,7 @@ def made_from(
     """Everything that a run of this session with this profile is made from."""
     refused = why_not_kept(len(session.bodies), len(session.cameras)) if keep else ""
     causes = stamp_causes({name: stream.times_s for name, stream in session.streams.items()})
+    blamed = [cause.of for cause in causes]
     return provenance(
         session.calibration_path,
         session.bodies,
@@ -186,11 +187,11 @@ def made_from(
         session_digest=session.digest(),
         session_name=session.name,
         notes=(
-            *session.notes,
-            *(str(cause.finding) for cause in causes),
-            *session.clock_notes([cause.of for cause in causes]),
+            *(Finding(Level.NOTE, "frames", note) for note in session.notes),
+            *(cause.finding for cause in causes),
+            *(Finding(Level.NOTE, "clock", note) for note in session.clock_notes(blamed)),
             *_without_color(session),
-            *([refused] if refused and keep != "off" else []),
+            *([Finding(Level.NOTE, "cameras", refused)] if refused and keep != "off" else []),
         ),
         scale_sd=session.scale_sd,
         keep=keep,
@@ -209,13 +210,13 @@ def _writer(session: Session, out: Path, origin: Provenance, options: RunOptions
     )
 
 
-def _without_color(session: Session) -> Iterator[str]:
-    """One line for each camera whose first pictures have no colour, though they have channels."""
+def _without_color(session: Session) -> list[Finding]:
+    """One for each camera whose first pictures have no colour, though they have channels."""
     count = ColorlessCount()
     with suppress(MeasureError):
         for frame_set in islice(session.frame_sets(), _FIRST_FRAME_SETS):
             count.add(frame_set)
-    yield from (finding.text for finding in count.findings())
+    return count.findings()
 
 
 def _body_digest(bodies: Sequence[Body]) -> str:

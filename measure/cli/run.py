@@ -117,8 +117,7 @@ def print_summary(summary: Summary) -> None:
         more = len(reasons) - MOST_LISTED
         console.print_text(f"  and {more} rarer kinds, which summary.json lists")
     for note in summary.notes:
-        levelled = note.startswith(("wrong: ", "weak: ", "note: "))
-        console.print_text(note if levelled else f"note: {note}")
+        console.print_text(str(note))
 
 
 def _print_outcomes(outcomes: Sequence[Outcome], out: Path, json: bool) -> int:
@@ -140,7 +139,7 @@ def _print_outcomes(outcomes: Sequence[Outcome], out: Path, json: bool) -> int:
         )
         for outcome in outcomes:
             for note in outcome.summary.notes if outcome.summary is not None else ():
-                console.print_text(f"note on {outcome.session.name}: {note}")
+                console.print_text(f"{note.level} on {outcome.session.name}: {note.text}")
         console.print_text(f"written to {out}")
     for outcome in outcomes:
         if outcome.defect:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -106,11 +106,11 @@ def rig_findings(
     distances: Sequence[BallDistance],
     detections: pa.Table,
     poses: pa.Table,
-    notes: Sequence[str] = (),
+    known: Collection[str] = (),
 ) -> tuple[Finding, ...]:
     """What may be wrong with the rig, the likeliest first; by a run's tables.
 
-    Nothing of clocks and places of cameras that the session's notes blame.
+    Nothing of cameras whose stamps are `known` to be wrong.
     """
     seen, sightings = _sightings(detections, poses)
     enough = len(sightings) >= MIN_FRAME_SETS
@@ -129,9 +129,7 @@ def rig_findings(
     if diagnosis.doubtful and not causes:
         causes = [_unclear(Level.WEAK, ALL, "the balls are not quite where they should be")]
     causes = [
-        cause
-        for cause in with_weak(beside(pictures, causes), repeated)
-        if not any(note.startswith(f"{Level.WRONG}: {cause.of}:") for note in notes)
+        cause for cause in with_weak(beside(pictures, causes), repeated) if cause.of not in known
     ]
     return (*(cause.finding for cause in causes), *twin_findings(body))
 

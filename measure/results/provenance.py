@@ -6,7 +6,7 @@ import hashlib
 import platform
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError, field_validator
 
+from measure.checking.finding import Finding, Level
 from measure.errors import RunError
 from measure.host.settings import explain_validation
 from measure.reading import parse_toml, read_toml_text
@@ -35,7 +36,8 @@ class Provenance:
     body_digest: str  # SHA-256 of the body as used
     profile: Mapping[str, Any]  # the resolved stages with all their settings, defaults included
     plugins: Mapping[str, str]  # by stage, "NAME of DISTRIBUTION VERSION"
-    notes: tuple[str, ...] = ()  # what the session left to be known: missing pictures and the like
+    # what the session left to be known: missing pictures and the like, and what is wrong with it.
+    notes: tuple[Finding, ...] = ()
     session_name: str = ""  # what the session is called; empty if not known
     scale_sd: float = 0.0  # of the world: see `Calibration`; the poses' covariances are without it
     keep: str = ""  # what was asked for of cameras that are moved; empty if nothing
@@ -54,7 +56,10 @@ class Provenance:
             body_digest=of_body.get("sha256", ""),
             profile=written.get("profile", {}),
             plugins=written.get("plugins", {}),
-            notes=tuple(of_session.get("notes", ())),
+            notes=(
+                *(Finding(Level.NOTE, "frames", text) for text in of_session.get("notes", ())),
+                *_RunSessionTable(findings=of_session.get("findings", [])).findings,
+            ),
             session_name=of_session.get("name", ""),
             scale_sd=of_rig.get("scale_sd", 0.0),
             keep=of_rig.get("keep", ""),
@@ -68,7 +73,8 @@ class Provenance:
                 "name": self.session_name,
                 "path": self.session,
                 "sha256": self.session_digest,
-                "notes": list(self.notes),
+                "notes": [one.text for one in self.notes if one.level is Level.NOTE],
+                "findings": [asdict(one) for one in self.notes if one.level is not Level.NOTE],
             },
             "calibration": {
                 "path": self.calibration,
@@ -132,6 +138,7 @@ class _RunSessionTable(BaseModel):
     name: str = ""
     path: str = ""
     notes: list[str] = []
+    findings: list[Finding] = []
 
 
 class _CalibrationTable(BaseModel):

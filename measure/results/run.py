@@ -13,14 +13,14 @@ import numpy as np
 import pyarrow as pa
 
 from measure.arrays import Bools, Floats
-from measure.checking.finding import worst_first
+from measure.checking.finding import Level, worst_first
 from measure.errors import RunError
 from measure.geometry import RigidTransform, propagate
 from measure.measuring.kept_rig import CameraChange
 from measure.model import Body, Camera
 from measure.results.distances import BallDistance, ball_distances, contradictions, rig_findings
 from measure.results.journal import is_missing, read_table
-from measure.results.provenance import read_provenance
+from measure.results.provenance import Provenance, read_provenance
 from measure.results.rig_changes import (
     CameraMove,
     camera_moves,
@@ -61,9 +61,10 @@ class Run:
     @cached_property
     def summary(self) -> Summary:
         """The run in a few numbers."""
-        notes = self.provenance.get("session", {}).get("notes", ())
+        notes = Provenance.of(self.provenance).notes
+        known = {note.subject for note in notes if note.level is Level.WRONG}
         seen = of_unmoved(self.detections, self.camera_changes)
-        about = rig_findings(self.body, self.cameras, self.distances, seen, self.poses, notes)
+        about = rig_findings(self.body, self.cameras, self.distances, seen, self.poses, known)
         follows = self.provenance.get("calibration", {}).get("keep") != "warn"
         if moves := self.camera_moves:
             moved = moved_findings(moves, float(self.times_s[0]), follows)

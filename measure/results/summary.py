@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from measure.checking.finding import Finding
+from measure.checking.finding import Finding, Level
 from measure.model import Reason
 from measure.results.reasons import counted
 
@@ -57,10 +57,9 @@ class Summary:
     # being "ok"; and how often a camera of a live run was away.
     reasons: dict[str, int]
     # what the session left to be known: missing pictures and the like; cameras that took part in no
-    # pose; ball distances that contradict the body file ("wrong: ..."), and a body that another
-    # file describes as well ("weak: ...").
-    notes: tuple[str, ...] = ()
-    # those on the rig as `measure check` gives them, likeliest cause first; notes hold them too.
+    # pose; and what is wrong with stamps, pictures and rig.
+    notes: tuple[Finding, ...] = field(default=(), compare=False)
+    # those of the notes that `measure check` gives as well, likeliest cause first.
     findings: tuple[Finding, ...] = field(default=(), compare=False)
     # of a run of several bodies, the summary of each by its name. A frame set then counts by its
     # worst body, and standard deviations are those of the worst.
@@ -99,6 +98,7 @@ class Summary:
             for key, value in vars(self).items()
         }
         del values["bodies"]
+        values["notes"] = [str(note) for note in self.notes]
         values["findings"] = [asdict(finding) for finding in self.findings]
         if self.bodies:
             values["bodies"] = {name: one.values() for name, one in self.bodies.items()}
@@ -108,7 +108,7 @@ class Summary:
 def summarise(
     detections: pa.Table,
     poses: pa.Table,
-    notes: Sequence[str] = (),
+    notes: Sequence[Finding] = (),
     findings: Sequence[Finding] = (),
     scale_sd: float = 0.0,
 ) -> Summary:
@@ -141,8 +141,8 @@ def summarise(
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=counted(given, names),
-        notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *map(str, findings)),
-        findings=tuple(findings),
+        notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *findings),
+        findings=(*(note for note in notes if note.level is not Level.NOTE), *findings),
     )
 
 
@@ -173,7 +173,9 @@ def together(bodies: Mapping[str, Summary], poses: pa.Table) -> Summary:
         reasons=named("reasons"),
         notes=tuple(
             dict.fromkeys(
-                note if all(note in one.notes for one in bodies.values()) else _about(name, note)
+                note
+                if all(note in one.notes for one in bodies.values())
+                else replace(note, text=f"{name}: {note.text}")
                 for name, summary in bodies.items()
                 for note in summary.notes
             )
@@ -183,27 +185,20 @@ def together(bodies: Mapping[str, Summary], poses: pa.Table) -> Summary:
     )
 
 
-def _about(body: str, note: str) -> str:
-    """A note with the body it is about, after its level."""
-    for level in ("wrong: ", "weak: "):
-        if note.startswith(level):
-            return f"{level}{body}: {note.removeprefix(level)}"
-    return f"{body}: {note}"
-
-
-def _idle(suspended: pa.Table, used: set[str]) -> tuple[str, ...]:
+def _idle(suspended: pa.Table, used: set[str]) -> Iterator[Finding]:
     """A line for every camera without an effective view, where another had one."""
     reasons: dict[str, Counter[str]] = {}
     for row in suspended.select(["camera", "reason"]).to_pylist():
         reasons.setdefault(row["camera"], Counter())[row["reason"]] += 1
     main = {name: counts.most_common(1)[0][0] for name, counts in reasons.items()}
     question = "does its calibration fit, and does it see the body? "
-    return tuple(
-        f"camera {name} took part in no pose (its balls: {reason}): "
-        f"{'' if reason == Reason.NO_IMAGE else question}`measure check` says more"
-        for name, reason in main.items()
-        if used and name not in used
-    )
+    for name, reason in main.items():
+        if used and name not in used:
+            text = (
+                f"camera {name} took part in no pose (its balls: {reason}): "
+                f"{'' if reason == Reason.NO_IMAGE else question}`measure check` says more"
+            )
+            yield Finding(Level.NOTE, "cameras", text, subject=name)
 
 
 def _median_distance(poses: pa.Table) -> float:

@@ -114,7 +114,7 @@ def test_wrong_radii_are_told_and_measured_with_right_ones(rendered, scene, tmp_
     write_body(tmp_path / "s" / "body.toml", Body("wrong", balls))
     profile, options = load_profile("precise"), RunOptions(recording=False)
     told = run(tmp_path / "s", tmp_path / "run", profile, Registry.discover(), options)
-    assert any("all balls look smaller than the body file says" in note for note in told.notes)
+    assert any("all balls look smaller than the body file says" in note.text for note in told.notes)
     assert told.ok == told.frame_sets
     found, truth = read_run(tmp_path / "run"), read_trajectory(rendered / "truth.csv")
     off = truth.at(found.times_s).translation - found.world_from_body.translation
@@ -133,7 +133,7 @@ def test_focal_lengths_all_off_alike_are_told(scene, share, told, tmp_path):
     write_calibration(tmp_path / "c.toml", Calibration(tuple(given)))
     options = RunOptions(calibration=tmp_path / "c.toml", recording=False)
     profile, registry = load_profile("precise"), Registry.discover()
-    notes = run(folder, tmp_path / "run", profile, registry, options).notes
+    notes = [one.text for one in run(folder, tmp_path / "run", profile, registry, options).notes]
     said = [note for note in notes if "the focal lengths of all cameras are" in note]
     assert len(said) == told
     assert number(r"cameras are \+([\d.]+) ", said[0]) == pytest.approx(0.6, abs=0.2)

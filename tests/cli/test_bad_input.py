@@ -125,7 +125,7 @@ def test_a_missing_picture_is_noted_and_measured_without(recording: Recording, c
     assert "note: camera 'cam1': 1 of 6 frames have no image" in capsys.readouterr().out
     run = read_run(recording.path.with_name("run"))
     assert run.poses.num_rows == 6
-    assert run.summary.notes[:-1] == tuple(run.provenance["session"]["notes"])
+    assert [note.text for note in run.summary.notes[:-1]] == run.provenance["session"]["notes"]
 
 
 def test_an_earlier_run_is_not_overwritten(recording: Recording, capsys) -> None:

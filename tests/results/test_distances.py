@@ -27,8 +27,10 @@ def notes(folder, stated, noise_mm=0.0, sets=8, size=1.0):
             ]
             writer.append(replace(found, positions=tuple(positions)))
         summary = writer.finish()
-    assert read_run(folder).summary == summary
-    return tuple(n for n in summary.notes if not n.startswith("note: with green and red exch"))
+    again, said = read_run(folder).summary, list(map(str, summary.notes))
+    assert again == summary
+    assert list(map(str, again.notes)) == said
+    return tuple(n for n in said if not n.startswith("note: with green and red exch"))
 
 
 def resized(share, *names):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
+from measure.checking import Finding, Level
 from measure.results.summary import summarise
 
 SEEN = pa.table(
@@ -82,7 +83,12 @@ def test_a_camera_that_took_part_in_no_pose_is_named():
     seen = pa.table({"ball": ["red"] * 4, "index": [0] * 4, **columns})
     poses = _poses(("ok", 0.1))
     (note,) = summarise(seen, poses).notes
-    assert "camera cam1 took part in no pose (its balls: not found)" in note
-    assert summarise(seen, poses, ["cam0 lost a picture"]).notes == ("cam0 lost a picture", note)
+    assert "camera cam1 took part in no pose (its balls: not found)" in note.text
+    lost = Finding(Level.NOTE, "frames", "cam0 lost a picture")
+    late = Finding(Level.WRONG, "clock", "cam0: its clock is late", subject="cam0")
+    summary = summarise(seen, poses, [lost, late])
+    assert summary.notes == (lost, late, note)
+    assert summary.findings == (late,)
+    assert summary.values()["notes"][:2] == ["note: cam0 lost a picture", f"wrong: {late.text}"]
     assert summarise(SEEN, poses).notes == ()
     assert summarise(seen.slice(1), poses).notes == (), "nobody saw anything: not this camera's"

@@ -139,6 +139,7 @@ def test_a_column_by_another_name_is_not_taken_for_an_empty_one(folder: Path) ->
     [
         ("session = 3", "'session': input should be a valid dictionary"),
         ("[session]\nnotes = 3", "'session.notes': input should be a valid list, got 3"),
+        ("[[session.findings]]\nlevel = 'bad'", "'session.findings.0.level': input should"),
         ("[session]\npath = 3", "'session.path': input should be a valid string, got 3"),
         ("[run]\nstarted = 'noon'", "'run.started': value error, Invalid isoformat string"),
     ],

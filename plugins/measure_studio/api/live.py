@@ -22,6 +22,7 @@ from measure.api.profiles import build_pipeline
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
 from measure.api.warming_up import warm_pipeline
+from measure.checking import Finding, Level
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.model import Body, Camera, FrameSet, Image
@@ -236,9 +237,9 @@ def _made_from(
     registry: Registry,
 ) -> Provenance:
     record = None if options.record is None else options.record.resolve()
-    keep, refused = options.keep_calibration, ""
+    keep, said = options.keep_calibration, ["measured live"]
     if keep not in (None, "off"):
-        refused = why_not_kept(len(bodies), cameras)
+        said.append(why_not_kept(len(bodies), cameras))
     return provenance(
         calibration,
         bodies,
@@ -247,7 +248,7 @@ def _made_from(
         session="" if record is None else str(record / "session.toml"),
         session_digest="",  # of pictures that are yet to come
         session_name="live" if record is None else record.name,
-        notes=("measured live", *filter(None, [refused])),
+        notes=tuple(Finding(Level.NOTE, "cameras", text) for text in said if text),
         scale_sd=scale_sd,
         keep=keep,
     )
