@@ -191,11 +191,13 @@ def lens_findings(rig: RigCalibration) -> list[Finding]:
             )
             findings.append(Finding(Level.WEAK, "boards", text, name))
         kinds = defaultdict[str, list[str]](list)
-        for picture, reason in lens.views.left_out.items():
-            kinds[reason.partition(" (")[0]].append(f"{picture} left out: {reason}")
-        for kind, lines in kinds.items():
-            few = f"{len(lines)} pictures left out, {kind}; first {lines[0].partition(' left')[0]}"
-            text = lines[0] if len(lines) == 1 else few
+        for picture, (kind, _) in lens.views.left_out.items():
+            kinds[kind].append(picture)
+        for kind, pictures in kinds.items():
+            first, much = pictures[0], lens.views.left_out[pictures[0]][1]
+            text = f"{first} left out: {kind}" + (f" ({much})" if much else "")
+            if len(pictures) > 1:
+                text = f"{len(pictures)} pictures left out, {kind}; first {first}"
             findings.append(Finding(Level.NOTE, "lens", text, name))
         findings += [Finding(Level.NOTE, "lens", reason, name) for reason in lens.reasons]
     return findings

@@ -191,9 +191,8 @@ def _agreeing(board: Board, views: ViewSet, camera: str, model: LensModel) -> Vi
         if of_views[worst] <= most:
             agreeing = tuple(map(Corners.only, kept, sound))
             return replace(views, views=agreeing, left_out=left_out)
-        left_out[kept[worst].source] = (
-            f"its corners miss by {of_views[worst]:.2f} px, the others by {usual:.2f} px"
-        )
+        much = f"by {of_views[worst]:.2f} px, the others by {usual:.2f} px"
+        left_out[kept[worst].source] = "its corners miss", much
         del kept[worst]
         if len(kept) < MIN_VIEWS:
             raise CalibrationError(

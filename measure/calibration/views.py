@@ -30,7 +30,8 @@ class ViewSet:
 
     size_wh: tuple[int, int]  # of the images, px
     views: tuple[boards.Corners, ...]
-    left_out: dict[str, str]  # reasons, by name of picture
+    # why, and by how much, by name of picture; two of one reason are alike.
+    left_out: dict[str, tuple[str, str]]
     # how many pictures showed the board mirrored, or its back: they serve the lens, but a camera in
     # mirror mode must not be located.
     mirrored: int = 0
@@ -79,7 +80,7 @@ def find_views(
 ) -> ViewSet:
     """Find the board in pictures (name and BGR pixels) of one size, and choose different views."""
     seen: list[boards.Corners] = []
-    left_out: dict[str, str] = {}
+    left_out: dict[str, tuple[str, str]] = {}
     size: tuple[int, int] | None = None
     mirrored = 0
     missed: list[Bytes] = []
@@ -96,7 +97,7 @@ def find_views(
             corners = problem.corners
             mirrored += 1
         if corners is None:
-            left_out[name] = "no board found"
+            left_out[name] = "no board found", ""
             missed = [*missed, gray][-_EXPLAINED:]
         else:
             seen.append(corners)
@@ -118,7 +119,7 @@ def choose_views(
     seen: list[boards.Corners],
     size_wh: tuple[int, int],
     camera: str,
-    left_out: dict[str, str] | None = None,
+    left_out: dict[str, tuple[str, str]] | None = None,
     limit: int = MAX_VIEWS,
 ) -> ViewSet:
     """Keep sharp views that differ, the most different first; CalibrationError if too few do."""
@@ -127,9 +128,8 @@ def choose_views(
     sharp = []
     for view in seen:
         if view.sharpness < floor:
-            left_out[view.source] = (
-                f"blurred (sharpness {view.sharpness:.2f}, others {2 * floor:.2f})"
-            )
+            sharpness = f"sharpness {view.sharpness:.2f}, others {2 * floor:.2f}"
+            left_out[view.source] = "blurred", sharpness
         else:
             sharp.append(view)
     different = len(_different(board, sharp, ALIKE_SHARE * float(np.hypot(*size_wh)), limit))
@@ -146,7 +146,7 @@ def choose_views(
         chosen = list(range(len(sharp)))
     for number, view in enumerate(sharp):
         if number not in chosen:
-            left_out[view.source] = "the same as another view"
+            left_out[view.source] = "the same as another view", ""
     return ViewSet(size_wh, tuple(sharp[i] for i in sorted(chosen)), left_out)
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from measure import api
-from measure.calibration import JOINT, camera_rows
+from measure.calibration import JOINT, camera_rows, judgement_lines
 from measure.cli import console
 from measure.cli.console import CalibrationFormat, JsonFlag, OutFile, Overwrite
 from measure.cli.options import InjectedRegistry
@@ -67,11 +68,11 @@ def calibrate(
         ("camera", "f_px", "position_sd_mm", "rotation_sd_deg", "rms_px"),
         camera_rows(result.rig.cameras),
     )
-    notes = [str(f) for f in result.verdict.findings if f.level == "note" and f.topic == "lens"]
-    for line in result.lines():
-        if line not in notes:
-            console.print_text(line)
+    findings = result.verdict.findings
+    told = tuple(f for f in findings if f.level != "note" or f.topic != "lens")
+    for line in judgement_lines(result.rig, replace(result.verdict, findings=told)):
+        console.print_text(line)
     console.print_text(f"wrote {out} and {page}")
-    if notes:
-        console.print_text(f"{len(notes)} notes on lenses ask for nothing: {page} lists them")
+    if notes := len(findings) - len(told):
+        console.print_text(f"{notes} notes on lenses ask for nothing: {page} lists them")
     return code

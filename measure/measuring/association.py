@@ -158,7 +158,6 @@ _MAX_POINTS = 40  # Most possible centres kept per ball
 _MAX_ITERATIONS = 2
 _MAX_FINALISTS = 6
 _MIN_SCORE = 0.5  # Score of a candidate that counts as a ball
-_NO_TWO_AGREE = "no two cameras agree"
 _UNITS_MM = {"cm": 10.0, "inches": 25.4}  # Of body files; one in m is refused when it is read
 _CONVERGED = 1e-3  # Steps, in mm and rad, that no longer change which candidates agree
 _TWIN_SHARE = 0.5  # Share of common candidates from which a rival pose is a twin of the best one
@@ -202,18 +201,15 @@ class _AssociationProblem:
 
 
 def associate(
-    body: Body, cameras: Sequence[Camera], detections: Mapping[str, Sequence[Detection]]
+    body: Body,
+    cameras: Sequence[Camera],
+    detections: Mapping[str, Sequence[Detection]],
+    units_mm: Mapping[str, float] = _UNITS_MM,
 ) -> Association:
-    """Find the body by candidates, several per ball and wrong ones too; colours may repeat."""
-    found = _associated(body, cameras, detections)
-    if found.world_from_body is None and found.reason.startswith(_NO_TWO_AGREE):
-        return replace(found, reason=_other_unit(body, cameras, detections) or found.reason)
-    return found
+    """Find the body by candidates, several per ball and wrong ones too; colours may repeat.
 
-
-def _associated(
-    body: Body, cameras: Sequence[Camera], detections: Mapping[str, Sequence[Detection]]
-) -> Association:
+    Where cameras agree on no two balls, its lengths are tried in other units, for the reason.
+    """
     candidates = by_ball(detections, body.balls, cameras)
     problem = _AssociationProblem(body, cameras, candidates)
     points = [intersect_rays(c, _SIGMAS, _RANGE_RATIO, _MAX_POINTS) for c in candidates]
@@ -228,14 +224,17 @@ def _associated(
             if mirrored is None:
                 mirrored = _taken_for_the_body(found, body, cameras, detections, left)
             if mirrored is not None:
-                again = _associated(body, cameras, mirrored.left_out_of(detections))
+                again = associate(body, cameras, mirrored.left_out_of(detections), units_mm)
                 return replace(again, reflection=again.reflection or mirrored)
         if len(rivals) > 1:
             return Association(None, reason=_ambiguous(*rivals))
         flags = second_body_flags(body, left, _SIGMAS)
         against = tuple(_disagreeing(found, body, cameras, detections))
         return replace(found, flags=flags, disagreeing=against)
-    return Association(None, reason=_why_none(body, candidates, points))
+    unit = ""
+    if sum(len(c) > 0 for c in candidates) >= 3 and sum(len(p.points) > 0 for p in points) < 2:
+        unit = _other_unit(body, cameras, detections, units_mm)
+    return Association(None, reason=unit or _why_none(body, candidates, points))
 
 
 def _taken_for_the_body(
@@ -259,15 +258,18 @@ def _taken_for_the_body(
 
 
 def _other_unit(
-    body: Body, cameras: Sequence[Camera], detections: Mapping[str, Sequence[Detection]]
+    body: Body,
+    cameras: Sequence[Camera],
+    detections: Mapping[str, Sequence[Detection]],
+    units_mm: Mapping[str, float],
 ) -> str:
     """That the body is found if the lengths of its file are in another unit; empty if not."""
-    for unit, mm in _UNITS_MM.items():
+    for unit, mm in units_mm.items():
         balls = tuple(
             replace(ball, center_mm=mm * ball.center_mm, radius_mm=mm * ball.radius_mm)
             for ball in body.balls
         )
-        found = _associated(replace(body, balls=balls), cameras, detections)
+        found = associate(replace(body, balls=balls), cameras, detections, {})
         if found.world_from_body is not None:
             return (
                 f"all balls are {mm:.1f} times as large, and as far apart, as the body file says: "
@@ -430,7 +432,7 @@ def _why_none(body: Body, candidates: Sequence[Candidates], points: Sequence[Bal
     apart = [b.name for b, p in zip(body.balls, points, strict=True) if not len(p.points)]
     if len(body.balls) - len(apart) < 2:
         return (
-            f"{_NO_TWO_AGREE} on where {', '.join(apart)} "
+            f"no two cameras agree on where {', '.join(apart)} "
             f"{'is' if len(apart) == 1 else 'are'}: check the calibration, "
             "and the radii in the body file"
         )

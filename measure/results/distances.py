@@ -222,14 +222,12 @@ def _detection(row: Mapping[str, Any]) -> Detection:
     )
 
 
-def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, ...]:
-    """Distances that contradict the body file by more than both uncertainties; a line each.
+def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[Finding, ...]:
+    """Distances that contradict the body file by more than both uncertainties.
 
     Distances come from rays alone: a calibration of the wrong scale contradicts it as well.
     """
-    return tuple(
-        f"{cause.level}: {cause.text}; {cause.remedy}" for cause in _contradicting(body, distances)
-    )
+    return tuple(cause.finding for cause in _contradicting(body, distances))
 
 
 def _contradicting(body: Body, distances: Sequence[BallDistance]) -> list[Cause]:

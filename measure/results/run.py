@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from measure.arrays import Bools, Floats
-from measure.checking.finding import Level, worst_first
+from measure.checking.finding import Finding, Level, worst_first
 from measure.errors import RunError
 from measure.geometry import RigidTransform, propagate
 from measure.measuring.kept_rig import CameraChange
@@ -98,8 +98,8 @@ class Run:
         return float(self.provenance.get("calibration", {}).get("scale_sd", 0.0))
 
     @property
-    def contradictions(self) -> tuple[str, ...]:
-        """What they say against the body file, a line each."""
+    def contradictions(self) -> tuple[Finding, ...]:
+        """What they say against the body file."""
         return contradictions(self.body, self.distances)
 
     @property

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-from measure.arrays import Floats, rms_length
+from measure.arrays import Bools, Floats, rms_length
 from measure.errors import DegenerateGeometryError
 from measure.estimation.losses import tukey_weights
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, skew
@@ -67,6 +67,11 @@ class Acceptance:
         return self.length_errors_mm / self.expanded_mm
 
     @property
+    def beyond(self) -> Bools:
+        """Whether each error (n,) is larger than any of so many lengths has by chance."""
+        return np.asarray(np.abs(self.ratios) > self.limit / COVERAGE_FACTOR)
+
+    @property
     def worst(self) -> int:
         """The length whose error is largest in its expanded uncertainty."""
         return int(np.argmax(np.abs(self.ratios)))
@@ -89,14 +94,10 @@ class Acceptance:
     def contradictions(self) -> tuple[str, ...]:
         """What cannot be by chance, a line each; empty if the rig is as good as it says."""
         wide = self.limit / COVERAGE_FACTOR
-        lines = [doubt.removeprefix("wrong: ") for doubt in self.doubts]
-        lines += [
-            f"length {name}: off by {error:+.3f} mm, more than {wide * U:.3f} mm"
-            for name, error, U in zip(
-                self.names, self.length_errors_mm, self.expanded_mm, strict=True
-            )
-            if abs(error) > wide * U
-        ]
+        lines = list(self.doubts)
+        for k in np.flatnonzero(self.beyond):
+            error, most = self.length_errors_mm[k], wide * self.expanded_mm[k]
+            lines.append(f"length {self.names[k]}: off by {error:+.3f} mm, more than {most:.3f} mm")
         if len(self.known_mm) > 1 and abs(self.scale) > wide * self.scale_expanded:
             lines.append(
                 f"scale: lengths are {100 * self.scale:+.2f} % off, +- "

@@ -39,7 +39,7 @@ def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
     tone = "doubtful" if widest > SUB_MM or run.contradictions else tone
     tone = "bad" if unflagged.sum() < _MIN_UNFLAGGED_SHARE * summary.frame_sets else tone
     words = [", ".join(parts) + "." + against, *_not_counted(run)]
-    words += [f"{line[0].upper()}{line[1:]}." for line in run.contradictions]
+    words += [f"{one.level.title()}: {one.text}." for one in run.contradictions]
     return tone, " ".join(words)
 
 

@@ -182,15 +182,17 @@ def test_no_fisheye_is_advised_for_a_wide_pinhole() -> None:
 
 
 def test_notes_of_one_kind_are_one_line() -> None:
-    left_out = dict.fromkeys([f"{k:02d}.jpg" for k in range(26)], "no board found")
-    left_out |= {"30.jpg": "blurred (sharpness 1.00, others 4.00)", "31.jpg": "blurred (2.00, 4)"}
-    left_out["40.jpg"] = "the same as another view"
+    left_out = dict.fromkeys([f"{k:02d}.jpg" for k in range(26)], ("no board found", ""))
+    left_out |= {"30.jpg": ("blurred", "1.00, 4"), "31.jpg": ("blurred", "2.00, 4")}
+    left_out["40.jpg"] = "the same as another view", ""
+    left_out["50.jpg"] = "its corners miss", "by 9 px"
     views = SimpleNamespace(covered_share=1.0, mirrored=0, left_out=left_out, views=())
     lens = SimpleNamespace(views=views, reasons=())
     assert [str(found) for found in lens_findings(SimpleNamespace(lenses={"cam0": lens}))] == [
         "note: camera cam0: 26 pictures left out, no board found; first 00.jpg",
         "note: camera cam0: 2 pictures left out, blurred; first 30.jpg",
         "note: camera cam0: 40.jpg left out: the same as another view",
+        "note: camera cam0: 50.jpg left out: its corners miss (by 9 px)",
     ]
 
 

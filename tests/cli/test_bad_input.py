@@ -125,7 +125,8 @@ def test_a_missing_picture_is_noted_and_measured_without(recording: Recording, c
     assert "note: camera 'cam1': 1 of 6 frames have no image" in capsys.readouterr().out
     run = read_run(recording.path.with_name("run"))
     assert run.poses.num_rows == 6
-    assert [note.text for note in run.summary.notes[:-1]] == run.provenance["session"]["notes"]
+    (lost,) = run.provenance["session"]["notes"]
+    assert lost in [note.text for note in run.summary.notes]
 
 
 def test_an_earlier_run_is_not_overwritten(recording: Recording, capsys) -> None:
@@ -221,7 +222,7 @@ def test_evaluation_of_what_is_no_run_or_no_truth(recording: Recording, tmp_path
 @pytest.mark.parametrize(
     ("name", "kept", "said"),
     [
-        ("run.toml", 300, "run.toml: cannot be read (Unterminated"),
+        ("run.toml", 100, "run.toml: cannot be read (Unterminated"),
         ("poses.parquet", 3000, "poses.parquet: cannot be read ("),
         ("poses.parquet", 0, "poses.parquet: cannot be read ("),
         ("poses.parquet", None, "is torn: it has no poses.parquet"),

@@ -71,7 +71,9 @@ def _accepted(folder: Path, path: Path, body: str | None) -> tuple[Run, Accepted
     known = table.columns["length_mm"]
     sd = table.columns.get("sd_mm", np.zeros(len(known)))
     names = [" - ".join(ends[k]) for k in order]
-    judged = judge(names, measured, known[order], sd[order], opened.contradictions)
+    judged = judge(
+        names, measured, known[order], sd[order], tuple(one.text for one in opened.contradictions)
+    )
     return opened, Accepted(judged, _promises(judged, opened, rests))
 
 
@@ -180,13 +182,13 @@ def _with_seen(found: MeasuredLengths, seen: Sequence[_Seen]) -> MeasuredLengths
 def _promises(judged: Acceptance, run: Run, rests: Rests) -> tuple[tuple[str, bool, str], ...]:
     """What the program says of itself, and whether it held here."""
     n, inside = len(judged.ratios), int(np.sum(np.abs(judged.ratios) <= 1))
-    off = [line for line in judged.contradictions if line.startswith("length")]
     scale = f"{100 * judged.scale:+.3f} %, U = {100 * judged.scale_expanded:.3f} % (k = 2)"
     out = [
-        ("lengths err within their uncertainty", not off, f"{inside} of {n} within U (k = 2)"),
+        ("lengths err within their uncertainty", not judged.beyond.any(),
+         f"{inside} of {n} within U (k = 2)"),
         ("the scale is right", abs(judged.scale) <= judged.scale_expanded, scale),
         ("ball distances agree with the body file", not run.contradictions,
-         "; ".join(run.contradictions) or "no contradiction"),
+         "; ".join(map(str, run.contradictions)) or "no contradiction"),
         ("poses are not in doubt", not run.summary.flagged,
          f"{run.summary.flagged} of {run.summary.frame_sets} flagged, and left out"),
     ]  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
@@ -331,6 +331,6 @@ def _mm(error_mm: float) -> str:
 def _findings(result: api.CalibrationResult) -> list[api.Finding]:
     """What was noticed: the judgement's findings, and all other lines as notes."""
     found = list(result.verdict.findings)
-    said = {str(one) for one in found}
-    others = [line.removeprefix("note: ") for line in result.lines()[:-1] if line not in said]
+    bare = replace(result, verdict=replace(result.verdict, findings=()))
+    others = bare.lines()[:-1]  # but for what stands in the headline
     return found + [api.Finding(api.Level.NOTE, "calibration", line) for line in others]
