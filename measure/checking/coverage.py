@@ -17,7 +17,7 @@ from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 
 _MIN_SEEN_SHARE = 0.5
-_MAX_CHANCE_SHARE = 0.1  # Of frame sets with evidence of a second body, or of a reflection
+_MAX_CHANCE_SHARE = 0.1  # Of frame sets with a pose, a second body or a reflection by chance
 _MIN_ANGLE_DEG = 20.0
 _GRID = (-1.0, 0.0, 1.0)
 
@@ -47,9 +47,14 @@ def coverage_findings(
     if lost:
         reasons = [s.reason for s in samples if s.world_from_body is None]
         common = max(set(reasons), key=reasons.count)
-        level = Level.WRONG if lost > len(samples) / 2 else Level.WEAK
-        text = f"no pose in {lost} of {len(samples)} frame sets looked at, mostly: {common}"
-        findings.append(Finding(level, "balls", text))
+        by_chance = len(with_pose) <= _MAX_CHANCE_SHARE * len(samples)
+        why = (
+            "check the calibration, and the radii in the body file"
+            if by_chance
+            else "as the cameras agree in the others, balls are hidden there, or out of view"
+        )
+        text = f"no pose in {lost} of {len(samples)} frame sets looked at, mostly: {common}; {why}"
+        findings.append(Finding(Level.WRONG if by_chance else Level.WEAK, "balls", text))
     disagreeing = {cause.of for cause in disagreeing_causes(samples)}
     flagged = [s.flags[0] for s in samples if s.flags]
     if len(flagged) > _MAX_CHANCE_SHARE * len(samples):  # a second body may be in view

@@ -431,11 +431,8 @@ def _why_none(body: Body, candidates: Sequence[Candidates], points: Sequence[Bal
         return f"too few balls in view: no candidate for {', '.join(unseen)}"
     apart = [b.name for b, p in zip(body.balls, points, strict=True) if not len(p.points)]
     if len(body.balls) - len(apart) < 2:
-        return (
-            f"no two cameras agree on where {', '.join(apart)} "
-            f"{'is' if len(apart) == 1 else 'are'}: check the calibration, "
-            "and the radii in the body file"
-        )
+        are = "is" if len(apart) == 1 else "are"
+        return f"no two cameras agree on where {', '.join(apart)} {are}"
     return "no three candidates are as far apart as the body's balls"
 
 

@@ -102,6 +102,16 @@ def test_a_second_body_is_wrong_where_most_frame_sets_show_one(shown, level):
     )
 
 
+@pytest.mark.parametrize(("found", "level"), [(0, Level.WRONG), (2, Level.WRONG), (4, Level.WEAK)])
+def test_a_body_that_is_found_now_and_then_is_hidden_in_between(found, level):
+    """Two cameras before which balls hide each other were said to be calibrated wrongly."""
+    nothing = search_sample({}, RAVEN, RIG, 0.0)
+    _, findings = coverage_findings([*samples(found), *[nothing] * (24 - found)], RAVEN, RIG)
+    (finding,) = [f for f in findings if "no pose" in f.text]
+    assert finding.level is level
+    assert ("check the calibration" in finding.text) == (level is Level.WRONG)
+
+
 def test_nothing_found_is_wrong():
     nothing = search_sample({}, RAVEN, RIG, 0.0)
     _, (finding,) = coverage_findings([nothing] * 3, RAVEN, RIG)
