@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import chain, islice
@@ -187,11 +187,11 @@ def made_from(
         session_digest=session.digest(),
         session_name=session.name,
         notes=(
-            *(Finding(Level.NOTE, "frames", note) for note in session.notes),
+            *noted("frames", session.notes),
             *(cause.finding for cause in causes),
-            *(Finding(Level.NOTE, "clock", note) for note in session.clock_notes(blamed)),
+            *noted("clock", session.clock_notes(blamed)),
             *_without_color(session),
-            *([Finding(Level.NOTE, "cameras", refused)] if refused and keep != "off" else []),
+            *noted("cameras", [refused] if keep != "off" else []),
         ),
         scale_sd=session.scale_sd,
         keep=keep,
@@ -208,6 +208,11 @@ def _writer(session: Session, out: Path, origin: Provenance, options: RunOptions
         overwrite=options.overwrite,
         reference=session.reference,
     )
+
+
+def noted(topic: str, texts: Iterable[str]) -> tuple[Finding, ...]:
+    """Texts as notes, but for empty ones."""
+    return tuple(Finding(Level.NOTE, topic, text) for text in texts if text)
 
 
 def _without_color(session: Session) -> list[Finding]:

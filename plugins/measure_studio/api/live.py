@@ -19,10 +19,9 @@ from measure.api.folders import mark_event
 from measure.api.measuring import keep_cameras, live_pipelines, measure_frame_sets, why_not_kept
 from measure.api.outputs import check_folder
 from measure.api.profiles import build_pipeline
-from measure.api.run import provenance
+from measure.api.run import noted, provenance
 from measure.api.run_log import LogOptions, RunLog
 from measure.api.warming_up import warm_pipeline
-from measure.checking import Finding, Level
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
 from measure.model import Body, Camera, FrameSet, Image
@@ -248,7 +247,7 @@ def _made_from(
         session="" if record is None else str(record / "session.toml"),
         session_digest="",  # of pictures that are yet to come
         session_name="live" if record is None else record.name,
-        notes=tuple(Finding(Level.NOTE, "cameras", text) for text in said if text),
+        notes=noted("cameras", said),
         scale_sd=scale_sd,
         keep=keep,
     )
