@@ -27,6 +27,8 @@ from benchmarks.recordings import (
 )
 from benchmarks.scale import HEAD as SCALE_HEAD
 from benchmarks.scale import rows as scale_rows
+from benchmarks.stated import HEAD as STATED_HEAD
+from benchmarks.stated import stated_rows
 from benchmarks.tables import FIGURES, Rows, markdown, measured_rows, typical, typical_by
 from measure.processes import processes
 from measure.results import versions
@@ -60,6 +62,13 @@ others by a path tracer that is not part of the program, and appear where they a
 
 """
 ALL_METHODS = """## All methods
+
+"""
+STATED = """## Stated and real errors
+
+Whether poses err as much as their covariances state, by the path tracer's recordings: *NEES* is
+the mean normalised squared error, 1 is right, above 1 the covariance is too small. This table
+alone: `python -m benchmarks.stated`; with `--own` it has the rendered scenes, too.
 
 """
 OFF_AXIS = """## Off the optical axis
@@ -130,7 +139,7 @@ def _options() -> argparse.Namespace:
         "recording; with --out, write it as a page of the documentation.",
         epilog=f"methods: {methods}; recordings: the rendered sessions beside the project, where "
         "they are at hand, these 'altered', 'own', 'relit' and 'unusual' scenes of "
-        "measure.simulation, photographs and scale, where they are at hand, and off-axis",
+        "measure.simulation, stated, photographs and scale, where they are at hand, and off-axis",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     parser.add_argument("--frames", type=int, default=24, help="frame sets per scene")
@@ -151,6 +160,7 @@ def _options() -> argparse.Namespace:
         *recordings_beside(),
         *altered_recordings(),
         *rendered_scenes(),
+        "stated",
         "photographs",
         "off-axis",
         "scale",
@@ -209,6 +219,8 @@ def _sections(given: argparse.Namespace, folder: Path) -> Iterator[str]:
         if rows:
             shown = rows if given.only else typical_by(rows, KINDS[kind])
             yield APART[kind] + markdown(("recording", "method", *FIGURES), shown)
+    if given.only in "stated" and (beside := recordings_beside()):
+        yield STATED + markdown(STATED_HEAD, [*stated_rows(beside)])
     if given.only in "photographs" and (balls := marked_balls()):
         most = max(ball.radius_px for ball in balls)
         rows = [row for row in photograph_rows(balls) if given.methods in row[0]]

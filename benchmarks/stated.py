@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,27 @@ def stated(session: Path, registry: Registry) -> Floats:
     return np.array(rows)
 
 
+HEAD = ("recording", "position mm", "NEES", "in 95 %", "rotation deg", "NEES", "in 95 %")
+
+
+def stated_rows(paths: Mapping[str, Path]) -> Iterator[tuple[str, ...]]:
+    """The cells of each recording of one body, then those of the means."""
+    registry, found = Registry.discover(), dict[str, Floats]()
+    for name, path in paths.items():
+        with open_session(path) as session:
+            if session.other_bodies:
+                continue
+        found[name] = stated(path, registry)
+        yield name, *_cells(found[name])
+    if found:
+        yield "mean", *_cells(np.mean(list(found.values()), axis=0))
+
+
+def _cells(parts: Floats) -> Iterator[str]:
+    for error, nees, inside in parts:
+        yield from (f"{error:.4f}", f"{nees:.2f}", f"{inside:.0%}")
+
+
 def main() -> None:
     """Print a row for each recording."""
     parser = argparse.ArgumentParser(prog="benchmarks.stated", description=__doc__)
@@ -49,25 +71,13 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=8, help="frame sets of a rendered scene")
     parser.add_argument("--own", action="store_true", help="rendered scenes as well")
     options = parser.parse_args()
-    registry, found = Registry.discover(), list[Floats]()
     sources = {name: path for name, path in recordings_beside().items() if options.only in name}
     with tempfile.TemporaryDirectory() as folder:
         if options.own:
             scenes = {n: scene for n, scene in rendered_scenes().items() if options.only in n}
             sources |= render_all(scenes, Path(folder), options.frames)
-        print(f"{'recording':28}{'mm':>8}{'NEES':>6}{'in':>6}{'deg':>8}{'NEES':>6}{'in':>6}")
-        for name, path in sources.items():
-            with open_session(path) as session:
-                if session.other_bodies:
-                    continue
-            found.append(stated(path, registry))
-            print(f"{name:28}{_cells(found[-1])}", flush=True)
-    if found:
-        print(f"{'mean':28}{_cells(np.mean(found, axis=0))}")
-
-
-def _cells(rows: Floats) -> str:
-    return "".join(f"{error:8.4f}{nees:6.2f}{inside:6.0%}" for error, nees, inside in rows)
+        for row in (HEAD, *stated_rows(sources)):
+            print(f"{row[0]:28}" + "".join(f"{cell:>13}" for cell in row[1:]), flush=True)
 
 
 if __name__ == "__main__":
