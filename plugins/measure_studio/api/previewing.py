@@ -99,19 +99,43 @@ class CameraNow:
         return cls(count, f"{name} has ended" if count.ended else "")
 
 
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """A picture, and what was found in this one: balls, and corners (n, 2) px."""
+
+    image: Image
+    balls: Sequence[Detection] = ()
+    corners: Floats | None = None
+
+    def drawn(self, width_px: int) -> bytes:
+        """It as a JPEG to look at."""
+        pixels = self.image.pixels
+        scale = min(1.0, width_px / pixels.shape[1])
+        size = max(1, round(scale * pixels.shape[1])), max(1, round(scale * pixels.shape[0]))
+        small = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
+        spoiled = cv2.resize(clipped(pixels), size, interpolation=cv2.INTER_NEAREST)
+        small[spoiled > 0] = _MARK_BGR
+        for one in self.balls:
+            _outline(small, one.ball, scale * one.center_px, scale * one.radius_px)
+        if self.corners is not None:
+            for u, v in np.rint(scale * self.corners).astype(int).tolist():
+                cv2.circle(small, (u, v), _CORNER_PX, _CORNER_BGR, 1, cv2.LINE_AA)
+        return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
+
+
 class Preview:
     """The newest picture of each camera; hand `add` to whatever reads them."""
 
     def __init__(self) -> None:
-        self._newest: dict[str, Image] = {}
+        self._newest: dict[str, _Shown] = {}
         self._came_s: dict[str, float] = {}
         self._balls: dict[str, tuple[float, Sequence[Detection]]] = {}
-        self._shown: dict[tuple[str, int], tuple[Image, bool, bytes, PictureFacts]] = {}
-        self._held: dict[str, tuple[float, Image, Floats]] = {}
+        self._shown: dict[tuple[str, int], tuple[_Shown, bytes, PictureFacts]] = {}
+        self._held: dict[str, tuple[float, _Shown]] = {}
 
     def add(self, image: Image) -> None:
         """Take a picture; it is decoded only if it is looked at."""
-        self._newest[image.camera] = image
+        self._newest[image.camera] = _Shown(image)
         self._came_s[image.camera] = time.monotonic()
 
     def age_s(self, camera: str) -> float:
@@ -120,9 +144,13 @@ class Preview:
 
     def newest(self, camera: str) -> Image | None:
         """The newest picture of a camera that can be read; None without one."""
-        image = self._newest.get(camera)
+        newest = self._readable(camera)
+        return None if newest is None else newest.image
+
+    def _readable(self, camera: str) -> _Shown | None:
+        newest = self._newest.get(camera)
         try:
-            return None if image is None or not image.pixels.size else image
+            return None if newest is None or not newest.image.pixels.size else newest
         except MeasureError:
             return None
 
@@ -137,25 +165,21 @@ class Preview:
         for name, pixels in self.pixels(cameras).items():
             write_named(folder, name, pixels)
 
-    def hold(self, image: Image, corners: Floats | None = None) -> None:
-        """Show this picture for a moment, in which something was found: corners (n, 2) px."""
-        rings = np.zeros((0, 2)) if corners is None else corners
-        self._held[image.camera] = time.monotonic(), image, rings
-
-    def held(self, camera: str) -> Image | None:
-        """The picture that is held at the moment; None without one."""
-        since, image, _ = self._held.get(camera, (-math.inf, None, None))
-        return image if time.monotonic() - since < _HELD_S else None
+    def hold(self, image: Image, corners: Floats) -> None:
+        """Show this picture for a moment, in which corners (n, 2) px were found."""
+        self._held[image.camera] = time.monotonic(), _Shown(image, corners=corners)
 
     def note_balls(self, image: Image, found: Iterable[Detection]) -> None:
         """Hear where balls are in a picture, which is shown with them."""
-        self._balls[image.camera] = time.monotonic(), tuple(found)
-        self.hold(image)
+        now_s, balls = time.monotonic(), tuple(found)
+        self._balls[image.camera] = now_s, balls
+        self._held[image.camera] = now_s, _Shown(image, balls)
 
-    def note_measured(self, measured: Measurement, images: Mapping[str, Image]) -> None:
+    def note_measured(self, latest: Sequence[Measurement], images: Mapping[str, Image]) -> None:
         """Hear where balls are from a live measurement of these pictures."""
+        views = [view for measured in latest for view in measured.views]
         for name, image in images.items():
-            seen = [view.detection for view in measured.views if view.camera == name]
+            seen = [view.detection for view in views if view.camera == name]
             self.note_balls(image, [one for one in seen if one is not None])
 
     def forget_balls(self) -> None:
@@ -177,37 +201,25 @@ class Preview:
 
         The newest one, or for a moment the newest in which something was found.
         """
-        held = self.held(camera)
-        image = held or self.newest(camera)
-        if image is None:
+        since_s, shown = self._held.get(camera) or (-math.inf, None)
+        if shown is None or time.monotonic() - since_s >= _HELD_S:
+            shown = self._readable(camera)
+        if shown is None:
             return None
-        key, is_held = (camera, width_px), held is not None
-        if key not in self._shown or (image, is_held) != self._shown[key][:2]:
-            jpeg = self._drawn(image.pixels, camera, width_px)
-            self._shown[key] = image, is_held, jpeg, PictureFacts.of(image.pixels)
-        return self._shown[key][2:]
+        key = camera, width_px
+        if key not in self._shown or self._shown[key][0] is not shown:
+            self._shown[key] = shown, shown.drawn(width_px), PictureFacts.of(shown.image.pixels)
+        return self._shown[key][1:]
 
     def last_shown(self, camera: str, width_px: int) -> Image | None:
         """The picture of a camera that somebody looks at in this width; None if nobody does."""
-        return self._shown[camera, width_px][0] if (camera, width_px) in self._shown else None
+        shown = self._shown.get((camera, width_px))
+        return None if shown is None else shown[0].image
 
     def facts(self, camera: str) -> PictureFacts | None:
         """What the picture of a camera that was shown last is like; None if none was."""
         seen = [shown[-1] for (name, _), shown in list(self._shown.items()) if name == camera]
         return seen[-1] if seen else None
-
-    def _drawn(self, pixels: Bytes, camera: str, width_px: int) -> bytes:
-        scale = min(1.0, width_px / pixels.shape[1])
-        size = max(1, round(scale * pixels.shape[1])), max(1, round(scale * pixels.shape[0]))
-        small = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
-        spoiled = cv2.resize(clipped(pixels), size, interpolation=cv2.INTER_NEAREST)
-        small[spoiled > 0] = _MARK_BGR
-        if self.held(camera) is not None:
-            for one in self._balls.get(camera, (0.0, ()))[1]:
-                _outline(small, one.ball, scale * one.center_px, scale * one.radius_px)
-            for u, v in np.rint(scale * self._held[camera][2]).astype(int).tolist():
-                cv2.circle(small, (u, v), _CORNER_PX, _CORNER_BGR, 1, cv2.LINE_AA)
-        return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
 
 
 def _outline(picture: Bytes, name: str, center_px: Floats, radius_px: float) -> None:

@@ -87,6 +87,23 @@ def test_balls_are_drawn_into_the_picture_in_which_they_were_found(monkeypatch):
     assert preview.balls("cam0") == ("Mötör",)
 
 
+def test_what_is_found_while_a_picture_is_drawn_is_not_drawn_into_it():
+    """It lies elsewhere in that one."""
+    pixels = np.full((480, 640, 3), 60, np.uint8)
+    ball = Detection("red", "cam0", 0.0, np.array([320.0, 200.0]), 30.0, np.eye(2), 1.0)
+    before, preview = Image("cam0", 0, 0.0, lambda: pixels), Preview()
+
+    def decode():
+        preview.note_balls(before, [ball])
+        return pixels
+
+    preview.add(Image("cam0", 1, 0.1, decode))
+    newer, found = (preview.shown("cam0", 640)[0] for _ in range(2))
+    newer, found = (cv2.imdecode(np.frombuffer(j, np.uint8), 0) for j in (newer, found))
+    assert np.ptp(newer) < 6
+    assert found[200, 290] > 200
+
+
 def test_corners_are_ringed_in_the_picture_in_which_they_were_found():
     """Though it was shown before without them; beside a corner nothing changes."""
     pixels = np.full((480, 640, 3), 60, np.uint8)
