@@ -58,7 +58,8 @@ class BodyWave:
     _now: dict[str, Now] = field(default_factory=dict)
     _located: int = 0  # Instants by which the cameras were located last
     _sd_mm: float = np.nan
-    _problem: str = ""  # Why the cameras cannot be located, or what their lenses need
+    _motion: str = ""  # What unknown lenses need
+    _problem: str = ""  # Why the cameras cannot be located
 
     def add(self, detections: Mapping[str, Sequence[Detection]], time_s: float) -> bool:
         """Take what may be balls at one instant, by camera, and say whether it is kept.
@@ -84,7 +85,7 @@ class BodyWave:
         """Locate the cameras by what is kept, and say how well; it takes some seconds."""
         instants = list(self.kept)
         self._located = len(instants)
-        self._sd_mm, self._problem = self._expected_mm(instants)
+        self._sd_mm, self._motion, self._problem = self._expected_mm(instants)
 
     def state(self) -> WaveState:
         """How far it is."""
@@ -93,10 +94,9 @@ class BodyWave:
         state = WaveState(cameras, pairs, self._sd_mm, self.goal_mm, ())
         if state.enough:
             return state
-        problem = [self._problem] if self._problem else []
-        lacks = [*problem, *advice_of(cameras, pairs, "body")]
-        lacks = lacks or ["every camera: carry the body to other places, and turn it"]
-        return replace(state, advice=tuple(lacks))
+        lacks = [*filter(None, [self._motion]), *advice_of(cameras, pairs, "body")]
+        rest = self._problem or "every camera: carry the body to other places, and turn it"
+        return replace(state, advice=tuple(lacks) or (rest,))
 
     def _sighting(self, name: str, detections: Sequence[Detection]) -> _Sighting | None:
         """The body by the pose on which the picture agrees best; None if it is not seen whole."""
@@ -127,8 +127,8 @@ class BodyWave:
             self._now.get(name, Now.NOTHING),
         )
 
-    def _expected_mm(self, instants: Sequence[Instant]) -> tuple[float, str]:
-        """The expected error of the body; NaN, and why, where cameras cannot be located yet."""
+    def _expected_mm(self, instants: Sequence[Instant]) -> tuple[float, str, str]:
+        """The expected error of the body; NaN, and what lacks, where there is none yet."""
         lenses, body = {name: self.lens(name) for name in self.sizes_wh}, self.body
         try:
             by = link if self.lenses is not None else link_by_focal_lengths
@@ -137,11 +137,11 @@ class BodyWave:
             try:
                 refinement = adjusted(linked.cameras, body, recording)
             except CalibrationError:
-                return float("nan"), ""  # more instants make a better start
+                return float("nan"), "", ""  # more instants make a better start
             if self.lenses is None and (lacks := motion_lacks(refinement.cameras, recording)):
-                return float("nan"), lacks
+                return float("nan"), lacks, ""
             shape = shape_of(refinement, body, recording)
             around = ball_places(recording.world_from_body, body.centers)
-            return expected_mm(body, shape.cameras, around, shape.joint), ""
+            return expected_mm(body, shape.cameras, around, shape.joint), "", ""
         except (CalibrationError, DegenerateGeometryError) as problem:
-            return float("nan"), str(problem)
+            return float("nan"), "", str(problem)

@@ -76,6 +76,9 @@ def test_cameras_that_never_see_it_at_once_are_named(rig, paper_body):
     assert {"cam0", "cam1"} & {*told[0].split()}
     assert {"cam2", "cam3"} & {*told[0].partition(":")[0].split()}
     assert not wave.state().enough
+    before = wave.state().advice
+    wave.locate()  # That it cannot be done yet says less than what to do
+    assert wave.state().advice == before
 
 
 def test_a_body_at_rest_adds_nothing(rig, paper_body):
