@@ -53,8 +53,8 @@ def demo(
 
     With `--studio` four rendered cameras are served to the set-up page instead, on a new folder in
     `--out`: a board is waved before them until the folder has a calibration, then it lies still
-    until that has a world (or a body), then the body moves. With `--no-board` the body is waved,
-    and the page calibrates by it. It runs until interrupted (Ctrl-C).
+    until that has a world (or a body), then the body moves. With `--no-board` the body itself is
+    waved, and then lies still. It runs until interrupted (Ctrl-C).
 
     Args:
         out: folder for the session and the run.

@@ -49,8 +49,8 @@ def demo_cameras(
     """Serve four rendered cameras that show what the newest rig folder needs next.
 
     The board is waved until the folder has a calibration, lies still until that has a world,
-    and then a body moves. Without a board the body is waved until there is a calibration. Pictures
-    are rendered once and kept in `folder`.
+    and then a body moves. Without a board the body is waved, and lies still. Pictures are rendered
+    once and kept in `folder`.
 
     Args:
         folder: of the demonstration; the rig's folder is a new one in it.
@@ -105,7 +105,6 @@ class _HeldStage:
     def _watch(self) -> None:
         while not self.over.wait(0.5):
             act = _act_of(self._desk)
-            act = act if act in self._reels else "body"
             if act != self._act:
                 before, self._act = self._shown, act
                 self._shown = Screening(self._reels[act])
@@ -144,8 +143,10 @@ def _rendered(folder: Path, board: str, progress: Progress) -> dict[str, Path]:
     scene = webcam_scene()
     if board == WAVED_BODY:
         far = MotionLimits(_WAVED_MM, speed_mm_s=_WAVED_MM_S, turn_rad_s=_WAVED_RAD_S)
+        at_rest = MotionLimits((0.0, 0.0, 0.0), 0.0)
         moved = {
             "waved": (replace(scene, trajectory=motion(scene.seed, far)), _WAVED_TICKS),
+            "lying": (replace(scene, trajectory=motion(scene.seed, at_rest)), 2),
             "body": (scene, _BODY_TICKS),
         }
         return _rendered_bodies(folder, moved, progress)
