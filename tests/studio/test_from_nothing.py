@@ -215,6 +215,7 @@ def click_balls(page, home):
     top = "document.querySelector('img.live').getBoundingClientRect().top + scrollY"
     before = page.evaluate(top)
     page.evaluate(WATCH_SIZES)
+    page.evaluate("window.chip = document.querySelector('[data-ball=blue]'); true")
     desk.click_at(page, "img.live", 20, 20)
     page.wait_for("document.body.innerText.includes('no ball-like patch')", 20)
     assert not (home / "colours.toml").exists()
@@ -227,6 +228,7 @@ def click_balls(page, home):
     page.wait_until((home / "colours.toml").exists, "blue is learnt", 20)
     page.wait_for("/learnt/.test(document.querySelector('[data-ball=blue]').innerText)", 20)
     assert page.evaluate(top) == before
+    assert page.evaluate("chip.isConnected")  # Or a name that is typed meanwhile would be lost
     page.wait_for("sizes.length > 1000", 60)
     assert page.evaluate("sizes.filter((width) => !width).length") == 0
 
@@ -311,8 +313,10 @@ def look_through_recordings(page, address, home):
     page.wait_for("document.querySelector('.q-dialog canvas')?.width > 100", 30)
     press_in(page, "document.querySelector('.q-dialog')", "close")
     page.wait_for("!document.querySelector('.q-dialog')", 20)
+    page.evaluate(f"window.row = {run}; true")
     press_in(page, run, "write the report")
-    page.wait_for(f"{run}?.querySelector('a')?.innerText == 'Report'", 60)
+    page.wait_for(f"!!{run}?.querySelector('a')?.offsetParent", 60)
+    assert page.evaluate("row.isConnected")
     press_in(page, session, "check")
     page.wait_for(f"{session}?.querySelector('.findings')?.innerText.length > 5", 120)
     press_in(page, session, "delete")

@@ -42,12 +42,6 @@ class Recording:
     poses: int = 0
     problem: str = ""
 
-    @property
-    def report(self) -> Path | None:
-        """The report of a run; None if there is none yet."""
-        file = self.folder / "report.html"
-        return file if file.is_file() else None
-
 
 def recordings_in(folder: Path) -> list[Recording]:
     """Sessions and runs in a folder, the newest first; what cannot be read says why."""

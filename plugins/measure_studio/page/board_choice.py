@@ -158,10 +158,11 @@ def _is_board(name: str) -> bool:
 
 def _length(bench: Bench, choose: Callable[[str], None]) -> None:
     """How long the printed board's squares are, with a ruler's picture."""
-    ui.html(drawings.ruler(), sanitize=False)
-    with ui.column().classes("length"):
-        field = ui.number("Squares measured, mm", step=0.5).classes("field")
-        one = ui.label().classes("hint")
+    with ui.row().classes("line no-wrap"):
+        ui.html(drawings.ruler(), sanitize=False)
+        with ui.column().classes("length"):
+            field = ui.number("Squares measured, mm", step=0.5).classes("field")
+            one = ui.label().classes("hint")
 
     def fill() -> None:
         try:

@@ -18,6 +18,7 @@ from measure_studio.page import drawings
 from measure_studio.page.bench import CALIBRATION, Bench, Job
 from measure_studio.page.layout import (
     WIDTH_PX,
+    Listed,
     act,
     camera_card,
     choice,
@@ -238,7 +239,6 @@ def add(bench: Bench) -> None:
 
 def _settings(bench: Bench, making: _Making) -> Callable[[], Path | None]:
     """How it is recorded; gives which body it is like."""
-    there = studio_api.contents_of(bench.folder)
 
     def like() -> Path | None:
         return next(iter(chosen(bench, body)), None)
@@ -258,8 +258,8 @@ def _settings(bench: Bench, making: _Making) -> Callable[[], Path | None]:
         for label, value in (("Radius of the balls, mm", "radius_mm"), ("Seconds", "seconds")):
             ui.number(label, min=0.1).bind_value(making, value).classes("field")
     with details("More: names and colours of a body file, calibration"), ui.row().classes("line"):
-        body = choice("Names and colours as in", bench, there.bodies, newest=False)
-        calibration = choice("Calibration", bench, there.calibrations)
+        body = choice("Names and colours as in", bench, "bodies", newest=False)
+        calibration = choice("Calibration", bench, "calibrations")
         body.on_value_change(other)
     kept_so(0.5, lambda: again.set_visibility(making.is_changed and not bench.busy))
     return like
@@ -267,60 +267,55 @@ def _settings(bench: Bench, making: _Making) -> Callable[[], Path | None]:
 
 def _chips(making: _Making, like: Callable[[], Path | None]) -> None:
     """The balls by their colours, in a place of fixed height: pictures do not move."""
-
-    @ui.refreshable
-    def listed() -> None:
-        shown = making.chips()
-        if not shown:
-            ui.label("Balls that are found are listed here, with their colours.").classes("hint")
-        for color, state in shown:
-            _chip(making, like, color, state, listed.refresh)
-
     with ui.row().classes("chips").props("data-chips"):
-        listed()
-    before: object = None
+        none = ui.label("Balls that are found are listed here, with their colours.").classes("hint")
+        listed = Listed(ui.row().classes("chips-in"), partial(_chip, making, like))
 
     def show() -> None:
-        nonlocal before
-        if (now := (making.chips(), {**making.colors.names})) != before:
-            before = now
-            listed.refresh()
+        shown = dict(making.chips())
+        none.set_visibility(not shown)
+        listed.show(shown)
 
-    ui.timer(1.0, show)
+    kept_so(0.5, show)
 
 
 def _chip(
-    making: _Making,
-    like: Callable[[], Path | None],
-    color: str,
-    state: str,
-    refresh: Callable[[], object],
-) -> None:
+    making: _Making, like: Callable[[], Path | None], color: str
+) -> tuple[ui.element, Callable[[str], None]]:
     """A ball's colour, its name to edit, and a button that leaves it out or adds it."""
-    out = state == "left out"
+    state = called = ""
 
     async def swap() -> None:
-        how = making.add if out else making.leave_out
+        how = making.add if state == "left out" else making.leave_out
         await tried(lambda: how(like(), color))
-        refresh()
 
     async def rename() -> None:
         await tried(lambda: making.call(color, name.value or ""))
 
     with ui.element("div").classes("chip") as chip:
         chip.props["data-ball"] = color
-        put(chip, "out", out)
-        put(chip, "sure", state == "in the body")
-        rgb = making.colors.rgb(color)
-        ui.element("span").classes("swatch").style(f"background: rgb({' '.join(map(str, rgb))})")
-        name = ui.input(value=making.colors.name(color)).props("dense borderless")
+        swatch = ui.element("span").classes("swatch")
+        name = ui.input().props("dense borderless")
         name.props["aria-label"] = f"name of the {color} ball"
         name.on("blur", rename).on("keydown.enter", rename)
-        ui.label(state).classes("state-of")
-        what = "search for" if out else "leave out"
-        swapping = ui.button(icon="add" if out else "close", on_click=swap, color=None)
-        swapping.props("flat dense round size=sm")
-        swapping.props["aria-label"] = f"{what} {color}"
+        label = ui.label().classes("state-of")
+        swapping = ui.button(on_click=swap, color=None).props("flat dense round size=sm")
+
+    def show(now: str) -> None:
+        nonlocal state, called
+        swatch.style(f"background: rgb({' '.join(map(str, making.colors.rgb(color)))})")
+        if called != making.colors.name(color):  # Else it is being typed
+            called = name.value = making.colors.name(color)
+        if now != state:
+            state, out = now, now == "left out"
+            label.text = now
+            put(chip, "out", out)
+            put(chip, "sure", now == "in the body")
+            swapping.icon = "add" if out else "close"
+            what = "search for" if out else "leave out"
+            swapping.props(f'aria-label="{what} {color}"')
+
+    return chip, show
 
 
 def _judgement(making: _Making) -> str:

@@ -238,21 +238,30 @@ def add(bench: Bench) -> None:
                     drawings.waving(),
                 )
                 _judgement(bench, wave)
-                choose_board(bench)
             _progress(bench, wave, lambda: _one(bench, body), lambda: _one(bench, lenses))
-            camera_pictures(bench, wave.seen_by, wave.drawn_over).classes("watched")
+            with ui.element("div").classes("duo"):
+                with ui.element("div").classes("watching"):
+                    pictures = camera_pictures(bench, wave.seen_by, wave.drawn_over)
+                    pictures.classes("watched")
+                with ui.element("div").classes("saying") as boards:
+                    choose_board(bench)
             body, lenses = _more(bench, wave)
-        # Who waves looks at the pictures, from afar.
-        kept_so(0.4, lambda: still.set_visibility(not wave.is_waved))
+
+        def show() -> None:
+            """Who waves looks at the pictures, from afar."""
+            still.set_visibility(not wave.is_waved)
+            boards.set_visibility(not wave.is_waved)
+            put(pictures, "fitted", not wave.is_waved)
+
+        kept_so(0.4, show)
 
 
 def _more(bench: Bench, wave: _Wave) -> tuple[ui.select, ui.select]:
     """What is seldom changed; gives the choices of the body, and of lenses that are known."""
-    there = studio_api.contents_of(bench.folder)
     more = details("More: the accuracy asked for, and pictures that are there already")
     with more, ui.row().classes("line"):
-        body = choice("Body to be measured, or waved", bench, there.bodies)
-        lenses = choice("Lenses known from, for a waved body", bench, there.calibrations)
+        body = choice("Body to be measured, or waved", bench, "bodies")
+        lenses = choice("Lenses known from, for a waved body", bench, "calibrations")
         goal = ui.number("Error at the body that is small enough, mm", min=0.001, step=0.01)
         goal.bind_value(wave, "goal_mm").classes("field")
         by_newest = partial(_calibrate, bench, wave, body, lenses)

@@ -143,10 +143,10 @@ def _seldom(bench: Bench) -> None:
 
     with details("More: a body to look for, exposure and focus"):
         with ui.row().classes("line"):
-            bodies = studio_api.contents_of(bench.folder).bodies
-            body = choice("Body to look for", bench, bodies, newest=False)
-            if bench.body is not None and bench.body in bodies:
-                body.value = str(bench.body.relative_to(bench.folder))
+            body = choice("Body to look for", bench, "bodies", newest=False)
+            if bench.body is not None:
+                looked_for = str(bench.body.relative_to(bench.folder))
+                body.value = looked_for if looked_for in body.options else None
             body.on_value_change(look)
         with ui.row().classes("line"):
             controls = typed("Controls of this computer's cameras", "exposure=150, cam1.gain=0")
@@ -176,7 +176,8 @@ def _card(
         picture(name, WIDTH_PX)
         with ui.row().classes("line no-wrap"):
             ui.label(name).classes("text-h6 named")
-            bin_button = ui.button(icon="delete", on_click=asked.open).props("flat dense")
+            bin_button = ui.button(icon="delete", on_click=asked.open, color=None)
+            bin_button.props("flat dense")
             bin_button.props["aria-label"] = f"remove {name}"
         with ui.element("div").classes("facts"):
             labels = {what: (ui.label(what), ui.label())[1] for what in _FACTS}
@@ -205,7 +206,7 @@ def _told(bench: Bench, name: str) -> dict[str, tuple[str, str]]:
         }
         often = len(count.outages)
         away = f"away {often} times" if often > 1 else "away once" if often else "never away"
-        cells["drops"] = f"{away}, {count.refused} torn pictures", lost
+        cells["drops"] = f"{away}, {count.refused} torn", lost
         looked = bench.looks and bench.preview.has_looked(name)
         none = "none" if looked else "choose a body under More"
         if bench.searched and not looked:

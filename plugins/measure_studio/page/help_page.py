@@ -6,15 +6,15 @@ from importlib import resources
 
 from nicegui import ui
 
-from measure_studio.page.layout import HELP, dressed
+from measure_studio.page.bench import Bench
+from measure_studio.page.layout import HELP, page
 
 
-def add() -> None:
+def add(bench: Bench) -> None:
     """Add the page; its text stands in `static/help.html`, with an anchor for each step."""
     text = resources.files("measure_studio").joinpath("static", "help.html").read_text("utf-8")
 
     @ui.page(HELP)
     def help_page() -> None:
-        dressed("Help")
-        with ui.column().classes("page"):
+        with page(bench, HELP):
             ui.html(text, sanitize=False).classes("asked")

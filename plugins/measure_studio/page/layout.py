@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 from urllib.parse import quote
 
 from nicegui import run, ui
@@ -21,6 +21,7 @@ from measure_studio.page.steps import ASIDE, STEPS, step_of
 from measure_studio.page.words import grouped, plain
 
 _T = TypeVar("_T")
+_Key = TypeVar("_Key")
 Drawn = Callable[[], str]
 """Gives what is drawn into a picture: SVG in the picture's px, empty for nothing."""
 _NEWS_S = 15.0  # How long the foot says how something ended
@@ -36,22 +37,25 @@ _HEAD = """<link rel="stylesheet" href="/studio/studio.css">
 def page(bench: Bench, path: str) -> Iterator[None]:
     """The frame round a page: the steps at its head, what is being done at its foot."""
     here = step_of(path)
-    dressed(ASIDE[path][0] if path in ASIDE else STEPS[here].name)
+    ui.add_head_html(_HEAD)
+    ui.page_title(f"{ASIDE[path][0] if path in ASIDE else STEPS[here].name} · triball studio")
+    ui.colors(primary="#1f5f99")
     with ui.header().classes("head"):
         ui.label("triball").classes("product")
         with ui.element("nav").classes("way").props('aria-label="steps"'):
-            links = [_step_link(number, here) for number in range(len(STEPS))]
+            links = [_step_link(n, n == here and path != HELP) for n in range(len(STEPS))]
         recorded = ui.link("Recordings", "/recordings").classes("help recorded")
         recorded.props('aria-label="Recordings"')
         put(recorded, "here", path == "/recordings")
-        help_link = ui.link("Help", f"{HELP}#{STEPS[here].name.lower()}", new_tab=True)
+        help_link = ui.link("Help", f"{HELP}#{STEPS[here].name.lower()}", new_tab=path != HELP)
         help_link.classes("help").props("data-help")
+        put(help_link, "here", path == HELP)
     with ui.column().classes("page") as body:
         _problem(bench)
         yield
     with ui.footer().classes("foot"):
         _job_line(bench)
-        onward = None if path == "/recordings" else _next_link(here)
+        onward = None if path in ("/recordings", HELP) else _next_link(here)
 
     def tick() -> None:
         done = [step.is_done(bench) for step in STEPS]
@@ -64,22 +68,15 @@ def page(bench: Bench, path: str) -> Iterator[None]:
     kept_so(1.0, tick)
 
 
-def dressed(title: str) -> None:
-    """Title, style and colours of a page."""
-    ui.add_head_html(_HEAD)
-    ui.page_title(f"{title} · triball studio")
-    ui.colors(primary="#1f5f99")
-
-
-def _step_link(number: int, here: int) -> ui.link:
+def _step_link(number: int, is_here: bool) -> ui.link:
     """A step in the head: its number, or a tick once it is done, and its name."""
     step = STEPS[number]
     with ui.link(target=step.path) as link:
         ui.element("span").classes("number").props(f'data-number="{number + 1}" aria-hidden="true"')
         ui.label(step.name).classes("name")
-    link.classes("here" if number == here else "")
+    link.classes("here" if is_here else "")
     link.props(f'aria-label="{number + 1}. {step.name}" data-step="{step.name}"')
-    return link.props(f'aria-current="{"page" if number == here else "false"}"')
+    return link.props(f'aria-current="{"page" if is_here else "false"}"')
 
 
 def _next_link(here: int) -> ui.link | None:
@@ -266,16 +263,19 @@ def typed(label: str, example: str) -> ui.input:
 
 
 def choice(
-    label: str, bench: Bench, files: Sequence[Path], several: bool = False, newest: bool = True
+    label: str,
+    bench: Bench,
+    what: Literal["bodies", "calibrations"],
+    several: bool = False,
+    newest: bool = True,
 ) -> ui.select:
-    """A choice among files of the folder, the newest at first; none of them is a choice, too."""
-    described = {
-        str(f.relative_to(bench.folder)): studio_api.described(f, bench.folder) for f in files
-    }
-    first = [*described][:1] if newest else []
-    value = first if several else next(iter(first), None)
-    made = ui.select(described, label=label, value=value, multiple=several, clearable=not several)
-    before = list(first)
+    """A choice among files of the folder, those of a job that ends meanwhile, too.
+
+    The newest is chosen at first; none of them is a choice, too.
+    """
+    made = ui.select({}, label=label, multiple=several, clearable=not several)
+    made.value = [] if several else None
+    before, first, job = list[str](), made.value, object()
 
     def keep() -> None:
         """A click on the only one that is chosen does not take it away."""
@@ -283,7 +283,24 @@ def choice(
             made.value = list(before)
         before[:] = made.value if several else []
 
+    def show() -> None:
+        nonlocal first, job
+        if (now := (bench.job, bench.busy)) == job:
+            return
+        job = now
+        files = getattr(studio_api.contents_of(bench.folder), what)
+        offered = {
+            str(f.relative_to(bench.folder)): studio_api.described(f, bench.folder) for f in files
+        }
+        if offered != made.options:
+            values = made.value if several else [made.value]
+            stays = made.value != first and {*values} - {None} <= offered.keys()
+            first = [*offered][:1] if several else next(iter(offered), None)
+            first = first if newest else ([] if several else None)
+            made.set_options(offered, value=made.value if stays else first)
+
     made.on_value_change(keep)
+    kept_so(1.0, show)
     return made.classes("field")
 
 
@@ -293,7 +310,7 @@ def chosen(bench: Bench, select: ui.select) -> list[Path]:
     return [api.inside(bench.folder, name) for name in names if name]
 
 
-def link(text: str, bench: Bench, file: Callable[[], Path | None]) -> None:
+def link(text: str, bench: Bench, file: Callable[[], Path | None]) -> ui.link:
     """A link to a file of the folder, once it is there."""
     shown = ui.link(text, "", new_tab=True)
 
@@ -306,6 +323,7 @@ def link(text: str, bench: Bench, file: Callable[[], Path | None]) -> None:
         shown.set_visibility(there is not None)
 
     kept_so(0.5, show)
+    return shown
 
 
 def pictures() -> ui.element:
@@ -367,6 +385,32 @@ def camera_pictures(
     if not bench.cameras:
         empty("The cameras' pictures come here: step 1, Cameras, adds them.")
     return shown
+
+
+class Listed(Generic[_Key, _T]):
+    """Parts of a page that stay while what they show changes, or a press or a key would be lost.
+
+    Args:
+        place: where they stand.
+        make: makes one by its key; gives it, and what shows in it what is so.
+    """
+
+    def __init__(
+        self, place: ui.element, make: Callable[[_Key], tuple[ui.element, Callable[[_T], object]]]
+    ) -> None:
+        self._place, self._make = place, make
+        self._parts = dict[_Key, tuple[ui.element, Callable[[_T], object]]]()
+
+    def show(self, now: Mapping[_Key, _T]) -> None:
+        """Show what is so of each, in this order; those that are not there any more go."""
+        for gone in self._parts.keys() - now.keys():
+            self._parts.pop(gone)[0].delete()
+        for number, (key, what) in enumerate(now.items()):
+            if key not in self._parts:
+                with self._place:
+                    self._parts[key] = self._make(key)
+                self._parts[key][0].move(target_index=number)
+            self._parts[key][1](what)
 
 
 def kept_so(seconds: float, show: Callable[[], object]) -> None:

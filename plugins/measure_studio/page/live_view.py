@@ -64,12 +64,11 @@ class LiveView:
         moving: list[Any] = []
 
         def draw() -> None:
-            for thing in moving:
-                thing.delete()
-            moving.clear()
             with scene:
-                for one in self._latest:
-                    moving.extend(self._draw(scene, one))
+                drawn = [thing for one in self._latest for thing in self._draw(scene, one)]
+            for before in moving:  # After the new ones are there, or balls would flicker
+                before.delete()
+            moving[:] = drawn
             if self._trail:
                 places, colors = zip(*self._trail, strict=True)
                 trail.set_points([*places], [[c / 255 for c in color] for color in colors])

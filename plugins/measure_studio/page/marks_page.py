@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
+from shutil import rmtree
 from urllib.parse import quote
 
 from nicegui import events, ui
@@ -29,7 +30,7 @@ from measure_studio.page.layout import (
     tried,
 )
 
-_NOW = "the cameras, now"
+_NOW = "the cameras now"
 _SOURCES = ("capture", "session")  # Files by which a folder holds pictures to mark
 _COLUMNS = ("marker", "x y z mm", "u v px")
 
@@ -58,10 +59,14 @@ class _MarksPage:
             raise ConfigError("choose a calibration, for its lenses: step 2, Calibration, makes it")
         else:
             out = folder / studio_api.next_free(folder, "marks")
-            if self.source == _NOW:
-                self.bench.preview.write([one.name for one in self.bench.cameras], out)
-                source = out
-            marking = api.begin_marks(out, source, calibrations[0], markers)
+            try:
+                if self.source == _NOW:
+                    self.bench.preview.write([one.name for one in self.bench.cameras], out)
+                    source = out
+                marking = api.begin_marks(out, source, calibrations[0], markers)
+            except BaseException:
+                rmtree(out, ignore_errors=True)
+                raise
         self.shown = {
             name: f"/file/{quote(str(api.inside(folder, file).relative_to(folder)))}"
             for name, file in marking.pictures.items()
@@ -75,12 +80,12 @@ class _MarksPage:
         self.place = ", ".join(f"{x:g}" for x in known[name]) if name in known else ""
         self.name = name
 
-    def click(self, marking: api.Marking, at_px: tuple[float, float]) -> None:
-        """Mark the chosen marker, and go on to the next that has no mark."""
-        marking.set(self.camera, self.name, at_px, self.kind)
+    def click(self, marking: api.Marking, camera: str, at_px: tuple[float, float]) -> None:
+        """Mark the chosen marker in a camera's picture, and go on to the next without a mark."""
+        marking.set(camera, self.name, at_px, self.kind)
         if self.place.strip():
             marking.place(self.name, self.place)
-        left = (name for name in marking.points if name not in marking.marks[self.camera])
+        left = (name for name in marking.points if name not in marking.marks[camera])
         self.choose(next(left, self.name))
 
     def remove(self, marking: api.Marking) -> None:
@@ -183,7 +188,7 @@ def _head(bench: Bench, marks: _MarksPage, refresh: Callable[[], object]) -> Non
     with ui.row().classes("line"):
         source = ui.select([_NOW, *sorted(sources)], label="Pictures of").classes("field")
         source.bind_value(marks, "source")
-        lenses = choice("Lenses", bench, there.calibrations)
+        lenses = choice("Lenses", bench, "calibrations")
         target = ui.select([*targets], label="Markers of", clearable=True).classes("field")
         opener = button("Open", "photo_camera", begin)
         ui.timer(0.5, lambda: put(opener, "primary", marks.marking is None))
@@ -191,33 +196,39 @@ def _head(bench: Bench, marks: _MarksPage, refresh: Callable[[], object]) -> Non
 
 def _picture(marks: _MarksPage, marking: api.Marking) -> None:
     """A picture that is clicked into, and what is marked in it."""
+    shown = ""  # The camera whose picture is there: another one may be chosen already
 
     async def click(at: events.MouseEventArguments) -> None:
-        await tried(lambda: marks.click(marking, (at.image_x - 0.5, at.image_y - 0.5)))
+        camera, at_px = shown, (at.image_x - 0.5, at.image_y - 0.5)
+        await tried(lambda: marks.click(marking, camera, at_px))
 
     with ui.row().classes("line"):
-        ui.toggle([*marking.pictures]).bind_value(marks, "camera")
+        ui.toggle([*marking.pictures]).props("no-caps").bind_value(marks, "camera")
         ui.input("Marker").bind_value(marks, "name")
-        place = ui.input("x, y, z in the world, mm").bind_value(marks, "place")
+        place = ui.input("x, y, z in the world, mm").bind_value(marks, "place").classes("field")
         place.on("keydown.enter", lambda: tried(lambda: marking.place(marks.name, marks.place)))
         ui.select([*api.MARK_KINDS], label="It is a").classes("kind").bind_value(marks, "kind")
     with ui.element("div").classes("marking"):
         image = ui.interactive_image(on_mouse=click, cross="#0008").classes("marked")
         with ui.column():
             ui.element("canvas").classes("magnifier").props("width=264 height=264")
+            ui.label("What the pointer is at is enlarged here.").classes("hint")
             columns = [{"name": n, "label": n, "field": n, "align": "left"} for n in _COLUMNS]
             table = ui.table(rows=[], columns=columns).classes("marks")
             table.props("flat dense data-marks")
+            table.props('no-data-label="Markers come here: name one, and click it in the picture."')
             table.on("rowClick", lambda e: marks.choose(e.args[1]["marker"]), [[], ["marker"]])
 
     def show() -> None:
+        nonlocal shown
         if table.rows != (rows := marks.rows(marking)):
             table.rows = rows
         content = "".join(marks.drawn(*one) for one in marking.marks[marks.camera].items())
         if image.content != content:
             image.content = content
-        if image.source != marks.shown[marks.camera]:
-            image.set_source(marks.shown[marks.camera])
+        if shown != marks.camera:
+            shown = marks.camera
+            image.set_source(marks.shown[shown])
 
     ui.timer(0.2, show)
 
@@ -225,7 +236,7 @@ def _picture(marks: _MarksPage, marking: api.Marking) -> None:
 def _steps(bench: Bench, marks: _MarksPage, marking: api.Marking) -> None:
     with ui.row().classes("line"):
         ui.select([*api.TAG_FAMILIES], label="Tags").bind_value(marks, "family")
-        body = choice("Balls", bench, studio_api.contents_of(bench.folder).bodies, newest=False)
+        body = choice("Balls", bench, "bodies", newest=False)
         act("Find", "search", lambda: marks.find(marking, chosen(bench, body)))
         act("Remove", "delete", lambda: marks.remove(marking))
         act("Write marks", "save", lambda: marks.save(marking))

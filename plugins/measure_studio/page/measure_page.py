@@ -132,6 +132,7 @@ class _Live:
 
         def work(job: Job) -> str:
             self._forget()
+            bench.look_for(read)  # When it has ended, too
             self.run, begun_s = run, time.monotonic()
             self.view = LiveView(rig.cameras)
             self.rests = {body.name: lab.RestsSoFar(body, rig) for body in read}
@@ -191,7 +192,7 @@ class _Live:
         self.bench.note_counts(state.cameras)
         for rests, measured in zip(self.rests.values(), state.latest, strict=True):
             rests.add(measured)
-            self.bench.preview.note_measured(measured, state.images)
+        self.bench.preview.note_measured(state.latest, state.images)
         if self.view is not None:
             self.view.note(state.latest)
 
@@ -254,6 +255,7 @@ def add(bench: Bench) -> None:
                 with ui.element("div").classes("saying"):
                     _figures(live)
                     _afterwards(bench, live)
+                    _checked(live)
                     _tile(live)
             _below(live)
             frame = ui.element("iframe").classes("viewer").props('title="3-D viewer"')
@@ -262,13 +264,12 @@ def add(bench: Bench) -> None:
 
 
 def _settings(bench: Bench, live: _Live) -> None:
-    there = studio_api.contents_of(bench.folder)
     with ui.row().classes("line"):
         begin = act("Measure", "straighten", lambda: live.measure(*given()), primary=True)
         begin.tooltip("space starts and stops it")
         act("Record", "fiber_manual_record", lambda: live.record(*given()))
-        calibration = choice("Calibration", bench, there.calibrations)
-        bodies = choice("Bodies", bench, there.bodies, several=True)
+        calibration = choice("Calibration", bench, "calibrations")
+        bodies = choice("Bodies", bench, "bodies", several=True)
         marking = act("Mark (M)", "flag", lambda: live.mark(what.value))
         what = ui.input("Event", value="event")
 
@@ -339,12 +340,27 @@ def _stopped(live: _Live) -> str:
     )
 
 
-def _below(live: _Live) -> None:
-    """What the check found, rests and events."""
+def _checked(live: _Live) -> None:
+    """What the check found, and how far the truth is."""
     with ui.column().classes("findings") as found:
         headline = ui.label().classes("figure").props("data-check")
         listed = ui.html("", sanitize=False)
     live_label(lambda: live.compared, "figure")
+
+    def show() -> None:
+        found.set_visibility(live.findings is not None)
+        if live.findings is not None:
+            wrong = [one for one in live.findings if one.level.value == "wrong"]
+            headline.text = "Something is wrong" if wrong else "The recording is sound"
+            put(headline, "wrong", bool(wrong))
+            put(headline, "good", not wrong)
+            listed.set_content(findings_shown(live.findings, live.bench.names))
+
+    kept_so(0.5, show)
+
+
+def _below(live: _Live) -> None:
+    """Rests and events."""
     with ui.row().classes("line"):
         columns = [
             {"name": name, "label": name, "field": name, "align": "left"} for name in _REST_COLUMNS
@@ -354,21 +370,10 @@ def _below(live: _Live) -> None:
             lambda: "\n".join(_event_lines(live.run)) if live.run else "", mark="data-events"
         )
 
-    def show() -> None:
-        found.set_visibility(live.findings is not None)
-        if live.findings is not None:
-            wrong = [one for one in live.findings if one.level.value == "wrong"]
-            headline.text = "Something is wrong" if wrong else "The recording is sound"
-            put(headline, "wrong", bool(wrong))
-            put(headline, "good", not wrong)
-            names = live.bench.names
-            listed.set_content(findings_shown(live.findings, names))
-
     async def settle() -> None:
         rests.rows = await tried(lambda: _rest_rows(live)) or []
         rests.set_visibility(bool(rests.rows))
 
-    kept_so(0.5, show)
     ui.timer(2.0, settle)
 
 
@@ -487,5 +492,8 @@ def _show_viewer(frame: ui.element, query: str) -> None:
 def _camera_line(bench: Bench, name: str) -> str:
     count = bench.now[name].count if name in bench.now else None
     problem = bench.problem(name)
-    rate = "" if count is None else f"{count.pictures} pictures, {count.rate_hz:.1f} per s"
-    return problem if name in problem else f"{name}: {problem or rate}"
+    if problem:
+        return problem if name in problem else f"{name}: {problem}"
+    return (
+        name if count is None else f"{name}: {count.pictures} pictures, {count.rate_hz:.1f} per s"
+    )

@@ -16,7 +16,17 @@ from measure import api
 from measure_lab import api as lab
 from measure_studio import api as studio_api
 from measure_studio.page.bench import Bench, Job
-from measure_studio.page.layout import act, button, empty, findings_shown, kept_so, page, tried
+from measure_studio.page.layout import (
+    Listed,
+    act,
+    button,
+    empty,
+    findings_shown,
+    kept_so,
+    link,
+    page,
+    tried,
+)
 from measure_studio.page.live_view import LiveView
 from measure_studio.page.words import plain
 
@@ -62,10 +72,10 @@ class Recordings:
 
         self.bench.begin(f"reporting {run.name}", work, waits=True)
 
-    def delete(self, one: studio_api.Recording) -> None:
+    def delete(self, folder: Path) -> None:
         """Delete a recording or a run."""
         self.bench.refuse_if_busy()
-        studio_api.delete_recording(self.bench.folder, one.folder.name)
+        studio_api.delete_recording(self.bench.folder, folder.name)
 
 
 def add(bench: Bench) -> None:
@@ -75,79 +85,80 @@ def add(bench: Bench) -> None:
     @ui.page("/recordings")
     def page_of_recordings() -> None:
         with page(bench, "/recordings"):
-            with ui.column().classes("recordings") as there:
-                empty("Looking through the folder ...")
-            shown: object = None
+            none = empty("Looking through the folder ...")
+            there = ui.column().classes("recordings")
+            listed = Listed(there, partial(_row, recordings, lambda: refresh()))
 
         async def refresh() -> None:
-            nonlocal shown
             found = await tried(lambda: studio_api.recordings_in(bench.folder))
-            if found is None or (now := [(one, one.report) for one in found]) == shown:
-                return
-            shown = now
-            there.clear()
-            with there:
-                if not found:
-                    empty("Recordings and runs come here: pages Body and Measure make them.")
-                for one in found:
-                    _row(recordings, one, refresh)
+            if found is not None:
+                none.text = "Recordings and runs come here: pages Body and Measure make them."
+                none.set_visibility(not found)
+                listed.show({(one.kind, one.folder): one for one in found})
 
         ui.timer(3.0, refresh)
 
 
-def _row(recordings: Recordings, one: studio_api.Recording, refresh: Callable[[], Any]) -> None:
+def _row(
+    recordings: Recordings, refresh: Callable[[], Any], key: tuple[str, Path]
+) -> tuple[ui.element, Callable[[studio_api.Recording], None]]:
     """A recording or a run in a line: what it is, how good, and what can be done with it."""
-    bench, name = recordings.bench, one.folder.name
+    bench, (kind, folder) = recordings.bench, key
+    name = folder.name
 
     async def delete() -> None:
         asked.close()
-        await tried(lambda: recordings.delete(one))
+        await tried(lambda: recordings.delete(folder))
         await refresh()
 
-    with ui.dialog() as asked, ui.card():
-        ui.label(f"Delete {name}, with all that is in it?")
-        with ui.row():
-            button("Delete it", "delete", delete, primary=True)
-            button("Keep it", "undo", asked.close)
-    with ui.card().classes("recording").props(f'data-recording="{quote(name)}"'):
+    with ui.card().classes("recording").props(f'data-recording="{quote(name)}"') as card:
+        with ui.dialog() as asked, ui.card():
+            ui.label(f"Delete {name}, with all that is in it?")
+            with ui.row():
+                button("Delete it", "delete", delete, primary=True)
+                button("Keep it", "undo", asked.close)
         with ui.element("div").classes("about"):
             ui.label(name).classes("text-h6 named")
-            ui.label(f"{one.at:%d %b %Y, %H:%M}")
-            ui.label("" if one.seconds is None else f"{one.seconds:.0f} s")
-            ui.label(_share(one))
-        if one.problem:
-            ui.label(plain(one.problem, bench.folder)).classes("weak")
+            at, length, share = ui.label(), ui.label(), ui.label()
+        problem = ui.label().classes("weak")
         with ui.row().classes("line"):
-            if one.kind == "session":
-                act("Check", "rule", partial(recordings.check, one.folder))
-                act("Mend a copy", "healing", partial(recordings.mend, one.folder))
+            if kind == "session":
+                act("Check", "rule", partial(recordings.check, folder))
+                act("Mend a copy", "healing", partial(recordings.mend, folder))
             else:
-                if one.report is not None:
-                    address = f"/file/{quote(str(one.report.relative_to(bench.folder)))}"
-                    ui.link("Report", address, new_tab=True).classes("act")
-                else:
-                    act("Write the report", "article", partial(recordings.report, one.folder))
-                button("3-D", "view_in_ar", partial(_open_view, one.folder))
+                file = folder / "report.html"
+                link("Report", bench, lambda: file if file.is_file() else None).classes("act")
+                write = act("Write the report", "article", partial(recordings.report, folder))
+                kept_so(1.0, lambda: write.set_visibility(not file.is_file()))
+                button("3-D", "view_in_ar", partial(_open_view, folder))
             button("Delete", "delete", asked.open)
         said = ui.html("", sanitize=False).classes("findings")
         mended = ui.label().classes("lines").props("data-mended")
 
-    def show() -> None:
-        lines = [plain(line, bench.folder) for line in recordings.mended.get(one.folder, ())]
+    def show(one: studio_api.Recording) -> None:
+        at.text = f"{one.at:%d %b %Y, %H:%M}"
+        length.text = "" if one.seconds is None else f"{one.seconds:.0f} s"
+        share.text = _share(one)
+        problem.text = plain(one.problem, bench.folder)
+        problem.set_visibility(bool(one.problem))
+
+    def show_found() -> None:
+        lines = [plain(line, bench.folder) for line in recordings.mended.get(folder, ())]
         mended.set_text("\n".join(lines))
         mended.set_visibility(bool(lines))
-        findings = recordings.findings.get(one.folder)
+        findings = recordings.findings.get(folder)
         said.set_visibility(findings is not None)
         if findings is not None:
             nothing = '<p class="good">nothing wrong, nothing weak</p>'
             said.set_content(findings_shown(findings, bench.names) or nothing)
 
-    kept_so(1.0, show)
+    kept_so(1.0, show_found)
+    return card, show
 
 
 def _share(one: studio_api.Recording) -> str:
     if one.kind == "session":
-        return "pictures"
+        return "recording"
     return f"{one.good} of {one.poses} poses good" if one.poses else "no pose"
 
 
@@ -162,5 +173,6 @@ async def _open_view(run: Path) -> None:
         view = LiveView(cameras, places, good)
         draw = view.scene()
         button("Close", "close", shown.close)
+    shown.on("hide", shown.delete)
     draw()
     shown.open()

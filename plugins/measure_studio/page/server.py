@@ -125,9 +125,9 @@ def _application(bench: Bench) -> FastAPI:
         body_page,
         measure_page,
         recordings_page,
+        help_page,
     ):
         page.add(bench)
-    help_page.add()
     ui.run_with(
         application,
         title="triball studio",

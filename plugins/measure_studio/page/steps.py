@@ -48,7 +48,11 @@ STEPS = (
     Step("/body", "Body", _has_body),
     Step("/measure", "Measure", _has_run),
 )
-ASIDE = {"/marks": ("Marks", "/world"), "/recordings": ("Recordings", "/measure")}
+ASIDE = {
+    "/marks": ("Marks", "/world"),
+    "/recordings": ("Recordings", "/measure"),
+    "/help": ("Help", "/"),
+}
 """Pages beside the way: their names, and the steps that they belong to."""
 
 

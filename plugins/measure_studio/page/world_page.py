@@ -176,23 +176,27 @@ def add(bench: Bench) -> None:
         with page(bench, "/world"):
             intro(
                 "Lay the board where you want the origin, in view of the cameras, and let go of "
-                "it. Its corner becomes the origin; z points up from the paper.",
+                "it. Its corner becomes the origin; z points up from the paper. No board? Lay down "
+                "the body: Other ways.",
                 drawings.axes_on_board(),
             )
             with ui.row().classes("line"):
                 act("Set the origin here", "my_location", world.by_board, True)
                 undo(bench, lambda: bench.folder / CALIBRATION)
                 live_label(world.said, "hint")
-            camera_pictures(bench, world.line, world.drawn_over)
             _others(bench, world)
+            camera_pictures(bench, world.line, world.drawn_over).classes("fitted low")
         ui.timer(_LOOK_S, partial(run.io_bound, world.look))
 
 
 def _others(bench: Bench, world: _World) -> None:
     """Other ways to a world."""
-    with details("Other ways: a body at rest, or markers at known places"):
+    with details("Other ways: a body at rest, or markers at known places") as others:
+        # Who waved the body has no board.
+        known = bench.calibration
+        others.value = known is not None and known.provenance.get("method") == "body"
         with ui.row().classes("line"):
-            body = choice("Body at rest", bench, studio_api.contents_of(bench.folder).bodies)
+            body = choice("Body at rest", bench, "bodies")
             act(
                 "Set the origin at the body",
                 "my_location",

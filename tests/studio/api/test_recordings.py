@@ -35,7 +35,6 @@ def test_recordings_and_runs_are_listed_and_deleted(still, tmp_path):
     run, session, broken = found["run-1"], found["session-1"], found["run-2"]
     assert (run.kind, run.good, run.poses, run.problem) == ("run", 20, 30, "")
     assert run.seconds == pytest.approx(29 / 30)
-    assert run.report is None
     assert session.kind == "session"
     assert session.seconds == pytest.approx(11 / 30, abs=0.02)
     assert broken.problem
