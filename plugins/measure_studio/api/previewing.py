@@ -105,7 +105,7 @@ class _Shown:
 
     image: Image
     balls: Sequence[Detection] = ()
-    corners: Floats | None = None
+    corners: Floats | tuple[()] = ()
 
     def drawn(self, width_px: int) -> bytes:
         """It as a JPEG to look at."""
@@ -117,9 +117,8 @@ class _Shown:
         small[spoiled > 0] = _MARK_BGR
         for one in self.balls:
             _outline(small, one.ball, scale * one.center_px, scale * one.radius_px)
-        if self.corners is not None:
-            for u, v in np.rint(scale * self.corners).astype(int).tolist():
-                cv2.circle(small, (u, v), _CORNER_PX, _CORNER_BGR, 1, cv2.LINE_AA)
+        for u, v in np.rint(scale * np.asarray(self.corners)).astype(int).tolist():
+            cv2.circle(small, (u, v), _CORNER_PX, _CORNER_BGR, 1, cv2.LINE_AA)
         return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
 
 
@@ -144,8 +143,7 @@ class Preview:
 
     def newest(self, camera: str) -> Image | None:
         """The newest picture of a camera that can be read; None without one."""
-        newest = self._readable(camera)
-        return None if newest is None else newest.image
+        return newest.image if (newest := self._readable(camera)) else None
 
     def _readable(self, camera: str) -> _Shown | None:
         newest = self._newest.get(camera)
@@ -171,9 +169,8 @@ class Preview:
 
     def note_balls(self, image: Image, found: Iterable[Detection]) -> None:
         """Hear where balls are in a picture, which is shown with them."""
-        now_s, balls = time.monotonic(), tuple(found)
-        self._balls[image.camera] = now_s, balls
-        self._held[image.camera] = now_s, _Shown(image, balls)
+        now_s, shown = time.monotonic(), _Shown(image, tuple(found))
+        self._balls[image.camera], self._held[image.camera] = (now_s, shown.balls), (now_s, shown)
 
     def note_measured(self, latest: Sequence[Measurement], images: Mapping[str, Image]) -> None:
         """Hear where balls are from a live measurement of these pictures."""
@@ -213,8 +210,7 @@ class Preview:
 
     def last_shown(self, camera: str, width_px: int) -> Image | None:
         """The picture of a camera that somebody looks at in this width; None if nobody does."""
-        shown = self._shown.get((camera, width_px))
-        return None if shown is None else shown[0].image
+        return known[0].image if (known := self._shown.get((camera, width_px))) else None
 
     def facts(self, camera: str) -> PictureFacts | None:
         """What the picture of a camera that was shown last is like; None if none was."""

@@ -14,6 +14,7 @@ from typing import Literal
 from measure import api
 from measure.errors import ConfigError, MeasureError
 from measure_studio import api as studio_api
+from measure_studio.page.words import named
 
 BOARD = "charuco_8x5_27"
 """Offered first: parts of it count, its turns are distinguishable, and it is found fast."""
@@ -209,9 +210,7 @@ class Bench:
         if len(problems) > 2:  # more sentences than a line holds
             return f"{len(problems)} of {len(self.cameras)} cameras deliver nothing"
         if problems:
-            return "; ".join(
-                text if name in text else f"{name}: {text}" for name, text in problems.items()
-            )
+            return "; ".join(named(name, text) for name, text in problems.items())
         count = len(self.cameras)
         return f"{count} cameras deliver" if count > 1 else "one camera delivers"
 

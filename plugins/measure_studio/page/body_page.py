@@ -35,6 +35,7 @@ from measure_studio.page.layout import (
     tried,
     undo,
 )
+from measure_studio.page.words import named
 
 _SEEN_BY = 2  # Cameras that must see a colour, where there are as many, before it is listed
 
@@ -311,8 +312,7 @@ def _chip(
             label.text = now
             put(chip, "out", out)
             put(chip, "sure", now == "in the body")
-            swapping.icon = "add" if out else "close"
-            what = "search for" if out else "leave out"
+            swapping.icon, what = ("add", "search for") if out else ("close", "leave out")
             swapping.props(f'aria-label="{what} {color}"')
 
     return chip, show
@@ -339,8 +339,7 @@ def _camera(bench: Bench, making: _Making, like: Callable[[], Path | None], name
 
 def _line(bench: Bench, name: str) -> str:
     """What a camera sees, or why it delivers nothing."""
-    said = bench.problem(name) or _balls(bench, name)
-    return said if name in said else f"{name}: {said}"
+    return named(name, bench.problem(name) or _balls(bench, name))
 
 
 def _balls(bench: Bench, name: str) -> str:

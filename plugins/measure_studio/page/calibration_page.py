@@ -241,19 +241,13 @@ def add(bench: Bench) -> None:
             _progress(bench, wave, lambda: _one(bench, body), lambda: _one(bench, lenses))
             with ui.element("div").classes("duo"):
                 with ui.element("div").classes("watching"):
-                    pictures = camera_pictures(bench, wave.seen_by, wave.drawn_over)
-                    pictures.classes("watched")
+                    camera_pictures(bench, wave.seen_by, wave.drawn_over).classes("watched")
                 with ui.element("div").classes("saying") as boards:
                     choose_board(bench)
             body, lenses = _more(bench, wave)
 
-        def show() -> None:
-            """Who waves looks at the pictures, from afar."""
-            still.set_visibility(not wave.is_waved)
-            boards.set_visibility(not wave.is_waved)
-            put(pictures, "fitted", not wave.is_waved)
-
-        kept_so(0.4, show)
+        for one in (still, boards):  # Who waves looks at the pictures, from afar
+            one.bind_visibility_from(wave, "is_waved", lambda is_waved: not is_waved)
 
 
 def _more(bench: Bench, wave: _Wave) -> tuple[ui.select, ui.select]:

@@ -144,9 +144,8 @@ def _seldom(bench: Bench) -> None:
     with details("More: a body to look for, exposure and focus"):
         with ui.row().classes("line"):
             body = choice("Body to look for", bench, "bodies", newest=False)
-            if bench.body is not None:
-                looked_for = str(bench.body.relative_to(bench.folder))
-                body.value = looked_for if looked_for in body.options else None
+            looked_for = str(bench.body.relative_to(bench.folder)) if bench.body else None
+            body.value = looked_for if looked_for in body.options else None
             body.on_value_change(look)
         with ui.row().classes("line"):
             controls = typed("Controls of this computer's cameras", "exposure=150, cam1.gain=0")

@@ -22,6 +22,8 @@ from measure_studio.page.words import grouped, plain
 
 _T = TypeVar("_T")
 _Key = TypeVar("_Key")
+_Part = tuple[ui.element, Callable[[_T], object]]
+_Kind = Literal["bodies", "calibrations"]
 Drawn = Callable[[], str]
 """Gives what is drawn into a picture: SVG in the picture's px, empty for nothing."""
 _NEWS_S = 15.0  # How long the foot says how something ended
@@ -263,19 +265,15 @@ def typed(label: str, example: str) -> ui.input:
 
 
 def choice(
-    label: str,
-    bench: Bench,
-    what: Literal["bodies", "calibrations"],
-    several: bool = False,
-    newest: bool = True,
+    label: str, bench: Bench, what: _Kind, several: bool = False, newest: bool = True
 ) -> ui.select:
     """A choice among files of the folder, those of a job that ends meanwhile, too.
 
     The newest is chosen at first; none of them is a choice, too.
     """
-    made = ui.select({}, label=label, multiple=several, clearable=not several)
-    made.value = [] if several else None
-    before, first, job = list[str](), made.value, object()
+    first: Any = [] if several else None
+    made = ui.select({}, label=label, value=first, multiple=several, clearable=not several)
+    before, job = list[str](), object()
 
     def keep() -> None:
         """A click on the only one that is chosen does not take it away."""
@@ -295,8 +293,8 @@ def choice(
         if offered != made.options:
             values = made.value if several else [made.value]
             stays = made.value != first and {*values} - {None} <= offered.keys()
-            first = [*offered][:1] if several else next(iter(offered), None)
-            first = first if newest else ([] if several else None)
+            at_first = [*offered][:newest]
+            first = at_first if several else next(iter(at_first), None)
             made.set_options(offered, value=made.value if stays else first)
 
     made.on_value_change(keep)
@@ -395,11 +393,8 @@ class Listed(Generic[_Key, _T]):
         make: makes one by its key; gives it, and what shows in it what is so.
     """
 
-    def __init__(
-        self, place: ui.element, make: Callable[[_Key], tuple[ui.element, Callable[[_T], object]]]
-    ) -> None:
-        self._place, self._make = place, make
-        self._parts = dict[_Key, tuple[ui.element, Callable[[_T], object]]]()
+    def __init__(self, place: ui.element, make: Callable[[_Key], _Part[_T]]) -> None:
+        self._place, self._make, self._parts = place, make, dict[_Key, _Part[_T]]()
 
     def show(self, now: Mapping[_Key, _T]) -> None:
         """Show what is so of each, in this order; those that are not there any more go."""

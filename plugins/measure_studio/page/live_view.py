@@ -54,13 +54,8 @@ class LiveView:
             trail = scene.point_cloud([[0, 0, 0]], [[0, 0, 0]], point_size=0.12)
             away = [_MM * camera.center - middle for camera in self._cameras.values()]
             eye = middle + np.array([0.3, -1.2, 0.6]) * float(np.max(np.linalg.norm(away, axis=1)))
-            scene.move_camera(
-                **dict(zip("xyz", eye.tolist(), strict=True)),
-                look_at_x=0.4 * middle[0],
-                look_at_y=0.4 * middle[1],
-                look_at_z=0.4 * middle[2],
-                duration=0,
-            )
+            (x, y, z), (to_x, to_y, to_z) = eye.tolist(), (0.4 * middle).tolist()
+            scene.move_camera(x, y, z, to_x, to_y, to_z, duration=0)
         moving: list[Any] = []
 
         def draw() -> None:

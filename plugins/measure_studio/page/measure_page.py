@@ -39,7 +39,7 @@ from measure_studio.page.layout import (
     tried,
 )
 from measure_studio.page.live_view import LiveView
-from measure_studio.page.words import grouped, plain
+from measure_studio.page.words import grouped, named, plain
 
 _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
 _OLD_S = 2.0  # After so long without a pose the last one is no longer shown as if it were live
@@ -362,9 +362,7 @@ def _checked(live: _Live) -> None:
 def _below(live: _Live) -> None:
     """Rests and events."""
     with ui.row().classes("line"):
-        columns = [
-            {"name": name, "label": name, "field": name, "align": "left"} for name in _REST_COLUMNS
-        ]
+        columns = [{"name": n, "label": n, "field": n, "align": "left"} for n in _REST_COLUMNS]
         rests = ui.table(rows=[], columns=columns).props("flat dense wrap-cells").classes("rests")
         live_label(
             lambda: "\n".join(_event_lines(live.run)) if live.run else "", mark="data-events"
@@ -491,9 +489,8 @@ def _show_viewer(frame: ui.element, query: str) -> None:
 
 def _camera_line(bench: Bench, name: str) -> str:
     count = bench.now[name].count if name in bench.now else None
-    problem = bench.problem(name)
-    if problem:
-        return problem if name in problem else f"{name}: {problem}"
+    if problem := bench.problem(name):
+        return named(name, problem)
     return (
         name if count is None else f"{name}: {count.pictures} pictures, {count.rate_hz:.1f} per s"
     )

@@ -15,18 +15,9 @@ from nicegui import ui
 from measure import api
 from measure_lab import api as lab
 from measure_studio import api as studio_api
+from measure_studio.page import layout
 from measure_studio.page.bench import Bench, Job
-from measure_studio.page.layout import (
-    Listed,
-    act,
-    button,
-    empty,
-    findings_shown,
-    kept_so,
-    link,
-    page,
-    tried,
-)
+from measure_studio.page.layout import act, button, empty, findings_shown, kept_so, page, tried
 from measure_studio.page.live_view import LiveView
 from measure_studio.page.words import plain
 
@@ -87,7 +78,7 @@ def add(bench: Bench) -> None:
         with page(bench, "/recordings"):
             none = empty("Looking through the folder ...")
             there = ui.column().classes("recordings")
-            listed = Listed(there, partial(_row, recordings, lambda: refresh()))
+            listed = layout.Listed(there, partial(_row, recordings, lambda: refresh()))
 
         async def refresh() -> None:
             found = await tried(lambda: studio_api.recordings_in(bench.folder))
@@ -127,7 +118,8 @@ def _row(
                 act("Mend a copy", "healing", partial(recordings.mend, folder))
             else:
                 file = folder / "report.html"
-                link("Report", bench, lambda: file if file.is_file() else None).classes("act")
+                made = layout.link("Report", bench, lambda: file if file.is_file() else None)
+                made.classes("act")
                 write = act("Write the report", "article", partial(recordings.report, folder))
                 kept_so(1.0, lambda: write.set_visibility(not file.is_file()))
                 button("3-D", "view_in_ar", partial(_open_view, folder))
@@ -157,9 +149,8 @@ def _row(
 
 
 def _share(one: studio_api.Recording) -> str:
-    if one.kind == "session":
-        return "recording"
-    return f"{one.good} of {one.poses} poses good" if one.poses else "no pose"
+    poses = f"{one.good} of {one.poses} poses good" if one.poses else "no pose"
+    return "recording" if one.kind == "session" else poses
 
 
 async def _open_view(run: Path) -> None:

@@ -118,15 +118,9 @@ def _application(bench: Bench) -> FastAPI:
     static = resources.files("measure_studio") / "static"
     pages.add_static_files("/studio", str(static))
     for page in (
-        cameras_page,
-        calibration_page,
-        world_page,
-        marks_page,
-        body_page,
-        measure_page,
-        recordings_page,
-        help_page,
-    ):
+        cameras_page, calibration_page, world_page, marks_page, body_page, measure_page,
+        recordings_page, help_page,
+    ):  # fmt: skip
         page.add(bench)
     ui.run_with(
         application,

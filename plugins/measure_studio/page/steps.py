@@ -49,10 +49,9 @@ STEPS = (
     Step("/measure", "Measure", _has_run),
 )
 ASIDE = {
-    "/marks": ("Marks", "/world"),
-    "/recordings": ("Recordings", "/measure"),
+    "/marks": ("Marks", "/world"), "/recordings": ("Recordings", "/measure"),
     "/help": ("Help", "/"),
-}
+}  # fmt: skip
 """Pages beside the way: their names, and the steps that they belong to."""
 
 

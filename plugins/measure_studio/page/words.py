@@ -46,6 +46,11 @@ def grouped(texts: Iterable[str], names: Sequence[str]) -> list[str]:
     return lines
 
 
+def named(name: str, text: str) -> str:
+    """A text of a camera, with its name if that is not in it already."""
+    return text if name in text else f"{name}: {text}"
+
+
 def _without_command(clause: str) -> str:
     """A clause without what follows its last colon, if that names an option or a command."""
     what, _, cure = clause.rpartition(": ")

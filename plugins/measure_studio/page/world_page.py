@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from shutil import rmtree
 
+import numpy as np
 from nicegui import run, ui
 
 from measure import api
@@ -31,6 +32,7 @@ from measure_studio.page.layout import (
 from measure_studio.page.steps import STEPS, step_of
 from measure_studio.page.words import plain
 
+_has_world = STEPS[step_of("/world")].is_done
 _LOOK_S = 1.0  # Between two looks for the board, at least
 _AXIS_MM = 100.0  # Of the axes that are drawn, where the board has no squares
 _REST_S, _REST_POSES = 2.0, 10  # How long, and how often, a body at rest is measured at least
@@ -130,26 +132,18 @@ class _World:
             return "There is no calibration yet: step 2 makes the one that is moved here."
         if self.place is not None:
             return "The board is seen. The thin axes show where the origin will be."
-        if STEPS[step_of("/world")].is_done(self.bench):
+        if _has_world(self.bench):
             return "The axes show where the origin is. Lay the board elsewhere to move it."
         return f"The board is not seen yet: {self.unseen}" if self.unseen else "looking ..."
 
     def line(self, name: str) -> str:
         """What a camera shows of the origin, in a line."""
         known = self.bench.calibration
-        if (
-            known is None
-            or name not in known.names
-            or not STEPS[step_of("/world")].is_done(self.bench)
-        ):
+        if known is None or name not in known.names or not _has_world(self.bench):
             return name
         camera = known.camera(name)
-        at = camera.project(camera.center[None] * 0.0)
-        return (
-            name
-            if camera.intrinsics.contains(at)[0]
-            else f"{name}: the origin is outside its picture"
-        )
+        is_shown = camera.intrinsics.contains(camera.project(np.zeros((1, 3))))[0]
+        return name if is_shown else f"{name}: the origin is outside its picture"
 
     def drawn_over(self, name: str) -> str:
         """The world's axes as a camera sees them, and thinner those of the board that is seen."""
@@ -159,7 +153,7 @@ class _World:
         camera, parts = known.camera(name), list[str]()
         squares, square_mm = api.board_length(self.bench.target())
         length_mm = squares * square_mm / 3 or _AXIS_MM
-        if STEPS[step_of("/world")].is_done(self.bench):
+        if _has_world(self.bench):
             parts.append(overlays.axes(camera, api.RigidTransform.identity(), length_mm))
         if self.place is not None:
             seen = overlays.axes(camera, self.place, length_mm)
