@@ -189,8 +189,7 @@ def _agreeing(board: Board, views: ViewSet, camera: str, model: LensModel) -> Vi
                 of_views[number] = np.max(own)
         worst = int(np.argmax(of_views))
         if of_views[worst] <= most:
-            agreeing = tuple(map(Corners.only, kept, sound))
-            return replace(views, views=agreeing, left_out=left_out)
+            return replace(views, views=tuple(map(Corners.only, kept, sound)), left_out=left_out)
         much = f"by {of_views[worst]:.2f} px, the others by {usual:.2f} px"
         left_out[kept[worst].source] = "its corners miss", much
         del kept[worst]

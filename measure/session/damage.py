@@ -10,13 +10,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from measure.errors import SessionError
-from measure.session.pictures import JPEG_END, JPEG_SCAN, is_complete_jpeg
+from measure.session.pictures import JPEG_END, JPEG_SCAN
 
 if TYPE_CHECKING:
     from measure.session.streams import Stream
 
-_STRAY_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xdc\xff]", re.DOTALL)
+_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xdc\xff]", re.DOTALL)
 """Within a scan only a restart or the number of lines may stand (ITU-T T.81, B.1.1)."""
+
+
+_HOLE = bytes(64)  # To which blank parts of a picture may be coded, too
+
+
+def is_torn(jpeg: bytes) -> bool:
+    """What of `is_damaged` shows without decoding, mostly: no end, a stray marker, a hole."""
+    scan = jpeg.rfind(JPEG_SCAN)
+    end = _MARKER.search(jpeg, scan + 2)
+    if end is None or end.group() != JPEG_END:
+        return True
+    return jpeg.find(_HOLE, scan, end.start()) >= 0 and _is_undecodable(jpeg)
 
 
 def is_damaged(jpeg: bytes) -> bool:
@@ -25,10 +37,10 @@ def is_damaged(jpeg: bytes) -> bool:
     Some wrong bytes pass, because the entropy code resynchronises. What FFmpeg cannot decode at all
     is not judged.
     """
-    scan = jpeg.rfind(JPEG_SCAN)
-    end = jpeg.find(JPEG_END, scan)
-    if not is_complete_jpeg(jpeg) or _STRAY_MARKER.search(jpeg, scan + 2, end):
-        return True
+    return is_torn(jpeg) or _is_undecodable(jpeg)
+
+
+def _is_undecodable(jpeg: bytes) -> bool:
     return not _decodes(jpeg, {"err_detect": "explode"}) and _decodes(jpeg, {})
 
 

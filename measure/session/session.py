@@ -18,7 +18,7 @@ from measure.errors import SessionError
 from measure.limits import GAP_PERIODS
 from measure.model import Body, Camera, FrameSet, Image
 from measure.session.calibration_file import UNSTATED_SCALE_SD
-from measure.session.damage import is_damaged
+from measure.session.damage import is_torn
 from measure.session.streams import Stream
 
 
@@ -249,7 +249,7 @@ def stream_frame_sets(
 def _read(stream: Stream, position: int) -> Image | str:
     """The image, decoded; if its JPEG is damaged, the name of the file instead."""
     image = stream.read(position)
-    if image.encoded is not None and is_damaged(image.encoded):
+    if image.encoded is not None and is_torn(image.encoded):
         return stream.file_name(position)
     _ = image.pixels
     return image

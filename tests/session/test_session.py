@@ -174,10 +174,12 @@ def test_a_bad_image_raises_at_its_own_frame(recording: Recording, data: bytes, 
 
 def test_a_damaged_jpeg_is_left_out_undecoded_and_named(recording: Recording, capfd) -> None:
     """What lacks a part decodes to grey or shifted blocks; libjpeg says so, but not of which."""
-    pixels = np.random.default_rng(1).integers(0, 255, (*SIZE_WH[::-1], 3), np.uint8)
+    rng = np.random.default_rng(1)
+    pixels = rng.integers(0, 255, (*SIZE_WH[::-1], 3), np.uint8)
     whole = cv2.imencode(".jpg", pixels)[1].tobytes()
     half = len(whole) // 2
-    given = {1: whole[:half], 2: whole[:half] + whole[half + 300 :], 3: whole}
+    overwritten = whole[:half] + whole[:500] + whole[half + 500 :]
+    given = {1: whole[:half], 2: overwritten, 3: whole}
     for frame, data in given.items():
         (recording.path / f"cam2/{frame:06d}.jpg").write_bytes(data)
     with open_session(recording.path) as session:
