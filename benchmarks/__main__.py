@@ -45,17 +45,14 @@ python -m benchmarks --frames 8 --jobs 2 --out docs/benchmarks.md
 - *centre px* (RMS per axis), *position mm* and *rotation deg* (RMS) are over what has been found:
   read them with *no pose %*, the share of frame sets without a pose, and *wrong %*, of those
   that the method does not flag although they are more than 2 mm off.
-- *x bound* is the position's RMS over its Cramér-Rao bound, the least that pixel noise alone
-  allows with the contrast, the noise and the visible outlines of that recording (less than a
-  micrometre): all else is systematic error.
-- *in 95 %* is the share of poses whose reported 95 % ellipsoid holds the true position. Frame
-  sets of one recording err alike; see [what the uncertainty means](explanation/uncertainty.md)
-  for what more recordings say.
+- *x bound* is the position's RMS over its Cramér-Rao bound, the least that pixel noise allows with
+  that recording's contrast and visible outlines (under a micrometre): the rest is systematic.
+- *in 95 %* is the share of poses whose reported 95 % ellipsoid holds the true position; frame sets
+  of one recording err alike. See [what the uncertainty means](explanation/uncertainty.md).
 - *typical* rows are geometric means, and means of shares. `--only NAME` prints each recording
   whose name contains it, by every method.
-- *first* and *later* are the CPU time of the first frame set (search) and the median of the
-  others, decoding apart, as multiples of one `cv2.cvtColor(BGR2HSV)` of one picture, timed in
-  turn with them; what is learnt from the first pictures before that is not in it.
+- *first* and *later* are the CPU time of the first frame set (search) and the median of the rest,
+  without decoding and burn-in, as multiples of one `cv2.cvtColor(BGR2HSV)`, timed in turn with it.
 
 `own` and unusual recordings are rendered by `measure.simulation`, their calibration exact; the
 others by a path tracer that is not part of the program, and appear where they are available.
@@ -66,9 +63,8 @@ ALL_METHODS = """## All methods
 """
 STATED = """## Stated and real errors
 
-Whether poses err as much as their covariances state, by the path tracer's recordings: *NEES* is
-the mean normalised squared error, 1 is right, above 1 the covariance is too small. This table
-alone: `python -m benchmarks.stated`; with `--own` it has the rendered scenes, too.
+Whether poses err as their covariances state: *NEES* is the mean normalised squared error; above 1
+the covariance is too small. This table alone: `python -m benchmarks.stated [--own]`.
 
 """
 OFF_AXIS = """## Off the optical axis
