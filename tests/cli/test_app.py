@@ -399,7 +399,7 @@ def test_a_live_line_says_how_many_cameras_are_there(monkeypatch, capsys):
     _StateLines()(state)
     told = "2 of 3 cameras (cam1 away); 30.0 frame sets per s, known after 20 ms\n"
     assert capsys.readouterr().err == told
-    latest = measurement(0, lost=True).without_images({"cam2": "cam0"}, ())
+    latest = measurement(0, lost=True).without_images({"cam2": "cam0"}, (), {})
     _StateLines()(SimpleNamespace(**{**vars(state), "latest": (latest,), "away": ("cam1", "cam2")}))
     told = "1 of 3 cameras (cam1 away, cam2 shows the pictures of cam0)"
     assert told in capsys.readouterr().err
