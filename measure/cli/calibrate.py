@@ -69,10 +69,10 @@ def calibrate(
         camera_rows(result.rig.cameras),
     )
     findings = result.verdict.findings
-    told = tuple(f for f in findings if f.level != "note" or f.topic != "lens")
-    for line in judgement_lines(result.rig, replace(result.verdict, findings=told)):
+    reported = tuple(f for f in findings if f.level != "note" or f.topic != "lens")
+    for line in judgement_lines(result.rig, replace(result.verdict, findings=reported)):
         console.print_text(line)
     console.print_text(f"wrote {out} and {page}")
-    if notes := len(findings) - len(told):
+    if notes := len(findings) - len(reported):
         console.print_text(f"{notes} notes on lenses ask for nothing: {page} lists them")
     return code
