@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -199,6 +200,20 @@ class _AssociationProblem:
             if index >= 0
         ]
 
+    def why_none(self, points: Sequence[BallPoints], other_unit: Callable[[], str]) -> str:
+        """The reason why there is no pose hypothesis; where cameras disagree `other_unit` first."""
+        names = self.body.names
+        unseen = [name for name, c in zip(names, self.candidates, strict=True) if not len(c)]
+        if len(unseen) == len(names):
+            return "no ball in view of any camera"
+        if len(names) - len(unseen) < 3:
+            return f"too few balls in view: no candidate for {', '.join(unseen)}"
+        apart = [name for name, p in zip(names, points, strict=True) if not len(p.points)]
+        if len(names) - len(apart) < 2:
+            are = "is" if len(apart) == 1 else "are"
+            return other_unit() or f"no two cameras agree on where {', '.join(apart)} {are}"
+        return "no three candidates are as far apart as the body's balls"
+
 
 def associate(
     body: Body,
@@ -231,10 +246,8 @@ def associate(
         flags = second_body_flags(body, left, _SIGMAS)
         against = tuple(_disagreeing(found, body, cameras, detections))
         return replace(found, flags=flags, disagreeing=against)
-    unit = ""
-    if sum(len(c) > 0 for c in candidates) >= 3 and sum(len(p.points) > 0 for p in points) < 2:
-        unit = _other_unit(body, cameras, detections, units_mm)
-    return Association(None, reason=unit or _why_none(body, candidates, points))
+    other_unit = partial(_other_unit, body, cameras, detections, units_mm)
+    return Association(None, reason=problem.why_none(points, other_unit))
 
 
 def _taken_for_the_body(
@@ -420,20 +433,6 @@ def _ambiguous(best: Association, rival: Association) -> str:
     if places[0] == places[1]:
         return f"two poses of the body fit equally well at {places[0]}: nobody can tell which"
     return f"two bodies fit equally well, at {places[0]} and {places[1]}: take one out of view"
-
-
-def _why_none(body: Body, candidates: Sequence[Candidates], points: Sequence[BallPoints]) -> str:
-    """The reason why there is no pose hypothesis."""
-    unseen = [b.name for b, c in zip(body.balls, candidates, strict=True) if not len(c)]
-    if len(unseen) == len(body.balls):
-        return "no ball in view of any camera"
-    if len(body.balls) - len(unseen) < 3:
-        return f"too few balls in view: no candidate for {', '.join(unseen)}"
-    apart = [b.name for b, p in zip(body.balls, points, strict=True) if not len(p.points)]
-    if len(body.balls) - len(apart) < 2:
-        are = "is" if len(apart) == 1 else "are"
-        return f"no two cameras agree on where {', '.join(apart)} {are}"
-    return "no three candidates are as far apart as the body's balls"
 
 
 def warm_up(cameras: Sequence[Camera]) -> None:
