@@ -74,7 +74,8 @@ def _calibrate(
 ) -> LensCalibration:
     models, by_rule = MODELS_OF[projection], dict[CornerRule, ViewSet]()
     problems = list[CalibrationError]()
-    for rule in get_args(CornerRule):
+    differ = any(view.by_gradient is not None for view in views.views)
+    for rule in get_args(CornerRule)[: 1 + differ]:
         localised = replace(views, views=tuple(view.localised(rule) for view in views.views))
         try:
             by_rule[rule] = _agreeing(board, localised, camera, models[1])
@@ -206,14 +207,13 @@ def _better_corners(
     points: Floats, by_rule: Mapping[CornerRule, ViewSet], models: tuple[LensModel, ...]
 ) -> CornerRule:
     """The rule by which held-out views that agree by each of them fit better."""
-    names = [{view.source for view in views.views} for views in by_rule.values()]
-    common = set.intersection(*names)
+    common = set.intersection(*({v.source for v in some.views} for some in by_rule.values()))
     candidates = {
         rule: replace(found, views=tuple(v for v in found.views if v.source in common))
         for rule, found in by_rule.items()
     }
     errors: dict[CornerRule, float] = {}
-    for model in models if len(common) >= MIN_VIEWS else ():
+    for model in models if len(by_rule) > 1 and len(common) >= MIN_VIEWS else ():
         try:
             errors = {r: _held_out_rms(points, v, model) for r, v in candidates.items()}
             break
