@@ -38,7 +38,7 @@ SHOWN = "document.querySelectorAll('img.live[src^=blob]').length == {}"
 SETTLED = 5  # Pictures
 PERIOD_S, AT_REST_S = 0.3, 0.1
 """Pictures of one instant are told apart from the next ones on a busy machine, too."""
-MOST_PRESSES, MOST_TYPED = 12, 60
+MOST_PRESSES, MOST_TYPED, MOST_WAITING_S = 12, 60, 400.0
 PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "set_up_in_the_browser.md"
 AZIMUTHS_DEG = (60.0, 90.0, 120.0)
 MAGENTA = "pink"  # As the program calls it
@@ -287,6 +287,7 @@ def check_steps(page, waits):
     print(made["in all"], {what: f"{s:.0f} s" for what, s in waits.items()})
     assert made["in all"][0] <= MOST_PRESSES
     assert made["in all"][1] <= MOST_TYPED
+    assert sum(waits.values()) < MOST_WAITING_S
     text = PAGE.read_text("utf-8")
     (commands,) = re.findall(r"<!-- all by commands -->\n```text\n(.*?)```", text, re.S)
     stated = re.findall(r"(\d+) clicks and (\d+) typed|commands takes (\d+) characters", text)
