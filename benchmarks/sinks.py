@@ -175,13 +175,14 @@ def receive_lsl(address: str, over: Over) -> Iterator[Received]:
         for info in pylsl.resolve_byprop("name", address.partition(":")[2], timeout=1.0):
             inlet = pylsl.StreamInlet(info)
             inlet.open_stream()
+    # Whoever is interrupted between the two readings finds too small a difference.
+    began_s = max(time.time() - pylsl.local_clock() for _ in range(10))
     while inlet is not None and not over():
         labels = inlet.info().get_channel_labels() or []
         sample, stamp = inlet.pull_sample(timeout=0.1)
         if sample is None:
             continue
-        arrived_s = time.time()
-        exposed_s = arrived_s - (pylsl.local_clock() - stamp)
+        exposed_s, arrived_s = began_s + stamp, time.time()
         for at in range(0, len(sample), 10):
             name, _, reference = labels[at].removesuffix("_x_mm").partition("_in_")
             place = tuple(sample[at : at + 7]) if sample[at + 9] < 2 else None

@@ -34,8 +34,9 @@ class LslSink(Sink):
         if not self.address:
             raise ConfigError("expected a name for the stream")
         self._lsl = needed("pylsl", "lsl")
-        # As the cameras do, once: the machine's clock may be set later on.
-        self._begun_s = time.time() - float(self._lsl.local_clock())
+        # As the cameras do, once: the machine's clock may be set later on. Whoever is interrupted
+        # between the two readings finds too small a difference.
+        self._begun_s = max(time.time() - float(self._lsl.local_clock()) for _ in range(10))
         self._poses: Any = None
         self._marks: Any = None
         self._sample, self._of, self._exposed_s = list[float](), -1, 0.0

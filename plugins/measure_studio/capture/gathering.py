@@ -8,8 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-
-import numpy as np
+from statistics import median
 
 from measure.errors import MeasureError
 from measure.limits import GAP_PERIODS
@@ -143,13 +142,13 @@ class Gathering:
         if self._waiting[name]:
             return False
         steps = self._steps[name]
-        step_s = float(np.median(steps)) if steps else self._period_s()
+        step_s = median(steps) if steps else self._period_s()
         last_s = self._last_s.get(name, self._begun_s - step_s)
         return last_s + step_s <= until_s <= last_s + _SILENT_PERIODS * step_s
 
     def _period_s(self) -> float:
         """Of the fastest camera."""
-        known = [float(np.median(steps)) for steps in self._steps.values() if steps]
+        known = [median(steps) for steps in self._steps.values() if steps]
         return min(known) if known else _FIRST_PERIOD_S
 
     def _members(self) -> list[Image]:
