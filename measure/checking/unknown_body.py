@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial.distance import squareform
 
 from measure.arrays import Floats
 from measure.checking.body import outline_sizes
@@ -197,9 +198,8 @@ def _distinct(frames: Sequence[Mapping[str, SeenBall]], body: Body) -> list[str]
 
 def _of_one_size(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str]) -> list[str]:
     """Those whose outlines are as large as most: a body has balls of one size."""
-    sizes = {n: np.median([f[n].radius_mm for f in frames if n in f]) for n in names}
-    usual = np.median(list(sizes.values()))
-    return [n for n in names if abs(sizes[n] / usual - 1) < _ALIKE]
+    sizes = _sizes(frames, names)
+    return np.array(names)[np.abs(sizes / np.median(sizes) - 1) < _ALIKE].tolist()
 
 
 def _apart(frames: Sequence[Mapping[str, SeenBall]], a: str, b: str) -> tuple[float, float]:
@@ -232,11 +232,18 @@ def _rigid(
 def _check_size(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], body: Body) -> None:
     """Refuse a size that the outlines contradict, at distances by the calibration's scale."""
     seen = [f[name] for f in frames for name in names if name in f]
-    sd = np.median([ball.radius_sd_mm for ball in seen]) / body.radii[0] / np.sqrt(len(seen))
-    if problem := wrong_size(
-        frames, body, SIGNIFICANT_SIGMAS * float(np.hypot(sd, _LEAST_SIZE_SD))
-    ):
+    sd_mm = np.median([ball.radius_sd_mm for ball in seen]) / np.sqrt(len(seen))
+    # By a common colour a ball may look too large or too small in every picture.
+    uneven_mm = np.std(_sizes(frames, names), ddof=1) / np.sqrt(len(names))
+    shares = np.array([sd_mm, uneven_mm]) / body.radii[0]
+    least = SIGNIFICANT_SIGMAS * float(np.linalg.norm([*shares, _LEAST_SIZE_SD]))
+    if problem := wrong_size(frames, body, least):
         raise SessionError(f"--radius-mm {body.radii[0]:g}: {problem}")
+
+
+def _sizes(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str]) -> Floats:
+    """Each ball's radius in most frame sets, mm."""
+    return np.array([np.median([f[n].radius_mm for f in frames if n in f]) for n in names])
 
 
 def wrong_size(
@@ -260,11 +267,8 @@ def wrong_size(
 
 def _laid_out(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], body: Body) -> Body:
     """The body of these balls: centres from all their distances, about the centroid."""
-    k = len(names)
-    squares = np.zeros((k, k))
-    for i, j in combinations(range(k), 2):
-        squares[i, j] = squares[j, i] = _apart(frames, names[i], names[j])[0] ** 2
-    centring = np.eye(k) - 1 / k
+    squares = squareform([_apart(frames, *pair)[0] ** 2 for pair in combinations(names, 2)])
+    centring = np.eye(len(names)) - 1 / len(names)
     values, axes = np.linalg.eigh(-0.5 * centring @ squares @ centring)
     centers = centring @ axes[:, -3:] * np.sqrt(np.maximum(values[-3:], 0.0))
     whole = [np.stack([f[n].center for n in names]) for f in frames if set(names) <= set(f)]

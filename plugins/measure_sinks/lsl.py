@@ -34,8 +34,7 @@ class LslSink(Sink):
         if not self.address:
             raise ConfigError("expected a name for the stream")
         self._lsl = needed("pylsl", "lsl")
-        # As the cameras do, once: the machine's clock may be set later on. Whoever is interrupted
-        # between the two readings finds too small a difference.
+        # Once: the machine's clock may be set later on. Interrupted in between, it is too small.
         self._begun_s = max(time.time() - float(self._lsl.local_clock()) for _ in range(10))
         self._poses: Any = None
         self._marks: Any = None
@@ -70,7 +69,7 @@ class LslSink(Sink):
 
     def send_mark(self, mark: EventMark) -> None:
         """A sample at the mark's time."""
-        self._marks.push_sample([mark.text], self._clock(mark.marked_s))
+        self._marks.push_sample([mark.text], mark.marked_s - self._begun_s)
 
     def close(self) -> None:
         """Withdraw the streams."""
@@ -79,17 +78,13 @@ class LslSink(Sink):
 
     def _push(self) -> None:
         if self._sample:
-            self._poses.push_sample(self._sample, self._clock(self._exposed_s))
+            self._poses.push_sample(self._sample, self._exposed_s - self._begun_s)
         self._sample, self._of = [], -1
 
     def _info(self, name: str, kind: str, channels: int) -> Any:
         """The description of a stream of irregular rate, in double precision or text."""
         form = self._lsl.cf_string if kind == "Markers" else self._lsl.cf_double64
         return self._lsl.StreamInfo(name, kind, channels, 0.0, form, f"triball:{name}")
-
-    def _clock(self, since_1970_s: float) -> float:
-        """That time on the clock of LSL."""
-        return since_1970_s - self._begun_s
 
 
 @hookimpl

@@ -66,6 +66,22 @@ def test_a_wrong_radius_is_refused_with_the_one_that_is_seen(factor):
         find_layout(frames, searched, pick=True)
 
 
+def test_balls_that_do_not_agree_on_their_size_refuse_none():
+    """By a common colour some look too large, and others too small, in every picture."""
+    frames, searched = seen_frames(FOUR, FOUR.radii[0])
+    looks = dict(zip(FOUR.names, (1.09, 0.94, 1.06, 1.07), strict=True))
+    uneven = [
+        {n: replace(ball, radius_mm=looks[n] * ball.radius_mm) for n, ball in f.items()}
+        for f in frames
+    ]
+    assert set(find_layout(uneven, searched, pick=True).names) == set(FOUR.names)
+    alike = [
+        {n: replace(ball, radius_mm=1.1 * ball.radius_mm) for n, ball in f.items()} for f in frames
+    ]
+    with pytest.raises(SessionError, match="square measured"):
+        find_layout(alike, searched, pick=True)
+
+
 def test_a_size_too_near_to_refuse_explains_what_fails_later():
     frames, searched = seen_frames(RAVEN, RAVEN.radii[0], scale=1.04)
     assert set(find_layout(frames, searched, pick=True).names) == set(RAVEN.names)

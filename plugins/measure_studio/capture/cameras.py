@@ -585,7 +585,6 @@ class Cameras:
 
 
 def _uneven_s(steps: Sequence[float]) -> float:
-    if not (known := [step for step in steps if not math.isnan(step)]):
-        return math.nan
+    known = [step for step in steps if not math.isnan(step)] or [math.nan]
     middle = median(known)
     return 1.5 * median(abs(step - middle) for step in known)

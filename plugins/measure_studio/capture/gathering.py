@@ -148,8 +148,8 @@ class Gathering:
 
     def _period_s(self) -> float:
         """Of the fastest camera."""
-        known = [median(steps) for steps in self._steps.values() if steps]
-        return min(known) if known else _FIRST_PERIOD_S
+        known = (median(steps) for steps in self._steps.values() if steps)
+        return min(known, default=_FIRST_PERIOD_S)
 
     def _members(self) -> list[Image]:
         """One picture a camera, about the newest instant that all have reached."""
