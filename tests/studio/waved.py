@@ -15,7 +15,7 @@ from measure.model import Camera, Intrinsics
 
 TARGET, PLAIN = "charuco_8x5_27", "chessboard_9x6_25"
 SIZE_WH, NOISE_PX = (640, 480), 0.05
-_PX_PER_MM, _FINER, _DOT_MM = 4, 3, 2.0
+_PX_PER_MM, _FINER, _DOT_MM = 4, 3, 4.0
 
 
 def board() -> Charuco:

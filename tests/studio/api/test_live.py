@@ -235,7 +235,7 @@ def test_a_camera_that_is_knocked_is_brought_back(session, tmp_path):
 
     with serving(cameras) as addresses:
         given = parse_cameras([f"{name}={address}" for name, address in addresses.items()])
-        how = load_profile("precise"), Registry.discover(), LiveOptions(seconds=90.0, stop=stop)
+        how = load_profile("precise"), Registry.discover(), LiveOptions(seconds=200.0, stop=stop)
         live(given, out, rig, [session / "body.toml"], *how, hear)
     run = read_run(out)
     left_out, back = run.camera_changes
