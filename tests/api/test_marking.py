@@ -20,7 +20,7 @@ NAMES = [f"m{number:02d}" for number in range(len(POINTS))]
 
 @pytest.fixture(scope="module")
 def photographs():
-    return {camera.name: waved.dots(camera, POINTS) for camera in CAMERAS}
+    return {camera.name: waved.dots(camera, POINTS, 2.0) for camera in CAMERAS}
 
 
 @pytest.fixture

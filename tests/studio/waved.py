@@ -15,7 +15,7 @@ from measure.model import Camera, Intrinsics
 
 TARGET, PLAIN = "charuco_8x5_27", "chessboard_9x6_25"
 SIZE_WH, NOISE_PX = (640, 480), 0.05
-_PX_PER_MM, _FINER, _DOT_MM = 4, 3, 4.0
+_PX_PER_MM, _FINER = 4, 3
 
 
 def board() -> Charuco:
@@ -120,13 +120,13 @@ def _sheet(target: Charuco | Chessboard) -> tuple[Bytes, float]:
     return np.repeat(np.repeat(squares, side, axis=0), side, axis=1), -target.square_mm
 
 
-def dots(camera: Camera, points: Floats) -> Bytes:
-    """Bright dots of 2 mm radius at places (n, 3) on a dark ground, as a camera shows them."""
+def dots(camera: Camera, points: Floats, radius_mm: float = 4.0) -> Bytes:
+    """Bright dots at places (n, 3) on a dark ground, as a camera shows them."""
     width, height = camera.intrinsics.size_wh
     light = np.full((height, width), 0.05)
     ways = points - camera.center
     for (u, v), way in zip(camera.project(points), ways, strict=True):
-        radius = _DOT_MM * camera.intrinsics.focal_px / np.linalg.norm(way)
+        radius = radius_mm * camera.intrinsics.focal_px / np.linalg.norm(way)
         x, y = round(u) - 20, round(v) - 20
         if not (0 <= x < width - 41 and 0 <= y < height - 41):
             continue
