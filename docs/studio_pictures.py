@@ -25,7 +25,13 @@ from tests.studio.desk import choose, go, press, studio, unfold
 
 IMAGES = Path(__file__).parent / "images"
 SIZES = {"": (1440, 900), "-tablet": (800, 1100), "-phone": (390, 844)}
-SHOWN = {"cameras-phone": 320, "calibration-phone": 320, "marks-tablet": 560, "measure": 800}
+SHOWN = {
+    "recordings": 0,
+    "cameras-phone": 320,
+    "calibration-phone": 320,
+    "marks-tablet": 560,
+    "measure": 800,
+}
 """Width in px of those in the docs that are not of the first size, or hold more than usual."""
 WIDTH_PX = 900
 AZIMUTHS_DEG = (45.0, 80.0, 115.0, 150.0)  # Of the cameras before which the board is waved
@@ -69,7 +75,7 @@ def _calibrate(page: Chromium, scratch: Path, folder: Path | None) -> None:
     with serving(cameras) as found, studio(scratch / "set-up", *_words(found)) as address:
         go(page, address + "calibration")
         press(page, "wave the board")
-        page.wait_for(f"/tilt|more places/.test({new.ADVICE}) && {LIVE}", 120)
+        page.wait_for(f"/tilt|more places|calibrated/.test({new.ADVICE}) && {LIVE}", 120)
         _take(page, "calibration", folder)
         page.wait_for(f"/calibrated/.test({new.JUDGEMENT})", 120)
         _take(page, "calibrated", folder)

@@ -129,7 +129,8 @@ class Chromium:
         deadline = time.monotonic() + timeout_s
         while not done():
             if time.monotonic() > deadline:
-                raise TimeoutError(f"not within {timeout_s:.0f} s: {what}; errors: {self.errors}")
+                last = self.errors[-3:]
+                raise TimeoutError(f"not within {timeout_s:.0f} s: {what}; errors: {last}")
             self.idle(0.2)
 
     def idle(self, seconds: float) -> None:
