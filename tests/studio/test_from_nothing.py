@@ -130,7 +130,7 @@ def test_from_an_empty_folder_to_believed_poses(tmp_path, rng):
         serve(served, {n: at_rest(some[0], rng) for n, some in boards.items()})
         check_rig(home, 1.5, 0.3)
         desk.go_on(page, "World")
-        put_the_world_at_the_board(page, waits)
+        put_the_world_at_the_board(page, home, waits)
         serve(served, {n: at_rest(some[0], rng) for n, some in balls.items()})
         desk.go_on(page, "Body")
         click_balls(page, home)
@@ -199,13 +199,20 @@ def wave_the_board(page, waits):
     page.wait_for(desk.ONE_PRIMARY, 20)
 
 
-def put_the_world_at_the_board(page, waits):
-    """It is at rest by now, where all cameras see it."""
+def put_the_world_at_the_board(page, home, waits):
+    """It is at rest by now, where all cameras see it; taken back, and that taken back, too."""
+    file = home / "calibration.toml"
+    first = file.read_bytes()
     page.wait_for("document.body.innerText.includes('The board is seen')", 30)
     assert page.evaluate(f"!{desk.is_done('World')}")
     desk.press(page, "set the origin")
     waits.note(page, "world", desk.is_done("World"), 30)
     page.wait_for("document.querySelectorAll('.over path.axis.z').length >= 2", 20)
+    second = file.read_bytes()
+    assert second != first
+    for there in (first, second):
+        press_in(page, "document", "take back the world")
+        page.wait_until(lambda held=there: file.read_bytes() == held, "taken back", 20)
 
 
 def click_balls(page, home):
