@@ -173,11 +173,11 @@ class Evidence:
         first = self.shared(SHARED) + len(self.body.balls) + 3 * ball
         return [first, first + 1, first + 2]
 
-    def hardly_seen(self) -> list[str]:
-        """Cameras that saw less than half as much as others: the body is not where it is sought."""
-        seen = np.bincount(self.views, minlength=len(self.cameras))
-        few = seen < np.median(seen) / 2
-        return [camera.name for camera, few in zip(self.cameras, few, strict=True) if few]
+    def hardly_seen(self, balls: bool = False) -> list[str]:
+        """Cameras that saw less than half as much as others, or such balls: they are elsewhere."""
+        names = self.body.names if balls else [camera.name for camera in self.cameras]
+        seen = np.bincount(self.balls if balls else self.views, minlength=len(names))
+        return [n for n, count in zip(names, seen, strict=True) if count < np.median(seen) / 2]
 
     def flow(self) -> Floats:
         """By camera (c,), how far a second moves what it sees, in standard deviations, RSS."""

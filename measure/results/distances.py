@@ -128,10 +128,8 @@ def rig_findings(
         causes = size_causes(body, outline_growth(seen, body, cameras))
     if diagnosis.doubtful and not causes:
         causes = [_unclear(Level.WEAK, ALL, "the balls are not quite where they should be")]
-    causes = [
-        cause for cause in with_weak(beside(pictures, causes), repeated) if cause.of not in known
-    ]
-    return (*(cause.finding for cause in causes), *twin_findings(body))
+    every = with_weak(beside(pictures, causes), repeated)
+    return (*(cause.finding for cause in every if cause.of not in known), *twin_findings(body))
 
 
 def _duplicates(poses: pa.Table) -> tuple[list[Cause], list[Cause]]:
@@ -156,14 +154,18 @@ def _stamps(detections: pa.Table, camera: str) -> Floats:
     return np.unique(own.drop_null().to_numpy())
 
 
+_OF_A_CAMERA = Word.MOVED, Word.MOVED_AT, Word.ZOOM, Word.POINT, Word.UNKNOWN
+
+
 def _told(cause: Cause, evidence: Evidence) -> Cause:
-    """The same, but of a camera that hardly saw the body where it was looked for: that it did."""
-    if cause.cause not in (Word.MOVED, Word.MOVED_AT, Word.ZOOM, Word.POINT, Word.UNKNOWN):
-        return cause
-    if cause.of not in evidence.hardly_seen():
-        return cause
-    text = f"{cause.of} sees the balls elsewhere than the others do, or not at all"
-    return _unclear(Level.WRONG, cause.of, text)
+    """The same, but where the cause's camera, or another ball, was hardly seen: that it was not."""
+    if cause.cause is Word.PLACE and (balls := {*evidence.hardly_seen(balls=True)} - {cause.of}):
+        text = f"hardly seen where the body file puts it: {', '.join(sorted(balls))}"
+        return _unclear(Level.WRONG, ALL, text)
+    if cause.cause in _OF_A_CAMERA and cause.of in evidence.hardly_seen():
+        text = f"{cause.of} sees the balls elsewhere than the others do, or not at all"
+        return _unclear(Level.WRONG, cause.of, text)
+    return cause
 
 
 def _unclear(level: Level, of: str, text: str) -> Cause:

@@ -58,3 +58,17 @@ def test_a_body_file_is_told_from_pictures_and_from_a_ball_out_of_place(
     first, *_ = api.check(session, Registry.discover(), clock_samples=0).causes
     assert first.cause == "exchanged-balls"
     assert set(first.of.split(", ")) == set(two)
+
+
+@pytest.mark.parametrize("two", [("blue", "orange"), ("purple", "white"), ("blue", "purple")])
+def test_a_run_blames_no_ball_that_sits_where_it_should(
+    tmp_path: Path, two: tuple[str, str]
+) -> None:
+    """It looks where the body file puts balls, and hardly sees the two there."""
+    folder = tmp_path / "four"
+    shutil.copytree(rendered(scene_catalogue()["four-balls"], np.arange(12) / 30), folder)
+    exchange_places(folder, *two)
+    without = api.RunOptions(recording=False)
+    summary = api.run(folder, tmp_path / "run", api.load_profile(), Registry.discover(), without)
+    assert summary.ok == 0
+    assert not [f.text for f in summary.findings if f.code == "ball-place" and f.subject not in two]
