@@ -387,7 +387,7 @@ class SmearedImages:
     """
 
     def __init__(self) -> None:
-        self._edges: dict[str, deque[tuple[Floats, Floats]]] = {}
+        self._edges: dict[tuple[str, str], deque[tuple[Floats, Floats]]] = {}
         self.smear: Smear | None = None
 
     def add(self, steps: Sequence[BallStep]) -> None:
@@ -395,17 +395,17 @@ class SmearedImages:
         for ball, pixels, step_px in steps:
             edges = _edges(pixels, ball)
             if edges is not None:
-                latest = self._edges.setdefault(ball.camera, deque(maxlen=_REMEMBERED))
-                latest.append((edges, step_px))
+                own = self._edges.setdefault((ball.camera, ball.ball), deque(maxlen=_REMEMBERED))
+                own.append((edges, step_px))
         if steps:
             self.smear = self._judged()
 
     def _judged(self) -> Smear | None:
-        found = {name: _smear(latest) for name, latest in self._edges.items()}
-        known = {name: smear for name, smear in found.items() if smear is not None}
-        if not known:
+        known = {k: s for k, edges in self._edges.items() if (s := _smear(edges)) is not None}
+        cameras = {camera for camera, _ in known}
+        if len(known) == len(cameras):  # One ball alone may be shaded so in all its pictures
             return None
-        return Smear(tuple(sorted(known)), *max(known.values()))
+        return Smear(tuple(sorted(cameras)), *max(known.values()))
 
     def doubt(self, used: Collection[str]) -> tuple[str, bool]:
         """The note on a pose that rests on some cameras, and whether that flags it."""
@@ -420,8 +420,8 @@ def smear_in(reasons: Iterable[str]) -> Smear | None:
     matches = [match for reason in reasons for match in _TEXT.finditer(reason)]
     if not matches:
         return None
-    names = {name for match in matches for name in match[1].split(", ")}
-    return Smear(tuple(sorted(names)), float(matches[-1][2]), float(matches[-1][3]))
+    names = sorted({name for match in matches for name in match[1].split(", ")})
+    return Smear(tuple(names), float(matches[-1][2]), float(matches[-1][3]))
 
 
 def _smear(latest: Sequence[tuple[Floats, Floats]]) -> tuple[float, float] | None:

@@ -357,7 +357,6 @@ def ball_on(index: float, kernel: np.ndarray | float = 1.0) -> np.ndarray:
 
 
 def in_motion(index: float) -> np.ndarray:
-    """With the shutter open half of the time."""
     return np.mean([ball_on(index + k / 16) for k in range(-4, 5)], axis=0).astype(np.uint8)
 
 
@@ -373,11 +372,14 @@ def in_motion(index: float) -> np.ndarray:
     ],
 )
 def test_a_blur_along_one_direction_is_told_from_motion_and_focus(show, width_px, angle_deg):
-    steps, images = BallSteps(), SmearedImages()
+    steps, images, alone = BallSteps(), SmearedImages(), SmearedImages()
     for index in range(14):
         image = Image("cam0", index, index / 30, lambda k=index: show(k))
-        ball = Detection("red", "cam0", 0.0, way(index), 25.0, 0.01 * np.eye(2))
-        images.add(steps.of(FrameSet(index, index / 30, {"cam0": image}), [ball], look=True))
+        balls = [Detection(n, "cam0", 0.0, way(index), 25.0, 0.01 * np.eye(2)) for n in "ab"]
+        found = steps.of(FrameSet(index, index / 30, {"cam0": image}), balls, look=True)
+        images.add(found)
+        alone.add([one for one in found if one.ball.ball == "a"])
+    assert alone.smear is None, "one ball may be shaded so"
     smear = images.smear
     assert (smear is None) == (width_px is None), smear
     if smear is not None:
