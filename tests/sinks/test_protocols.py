@@ -24,8 +24,8 @@ WITHOUT_LOST = {"zenoh"}
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Two bodies, one relative to the other."""
-    return write_run(tmp_path_factory.mktemp("two") / "run", 100, 100.0, several=True)
+    """Two bodies, one relative to the other: no more poses than may wait for a sink."""
+    return write_run(tmp_path_factory.mktemp("two") / "run", 80, 100.0, several=True)
 
 
 @pytest.fixture(scope="module")
