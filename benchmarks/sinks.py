@@ -175,7 +175,7 @@ def receive_lsl(address: str, over: Over) -> Iterator[Received]:
         for info in pylsl.resolve_byprop("name", address.partition(":")[2], timeout=1.0):
             inlet = pylsl.StreamInlet(info)
             inlet.open_stream()
-    # Whoever is interrupted between the two readings finds too small a difference.
+    # An interruption between the two readings makes the difference too small.
     began_s = max(time.time() - pylsl.local_clock() for _ in range(10))
     while inlet is not None and not over():
         labels = inlet.info().get_channel_labels() or []

@@ -174,7 +174,7 @@ class Evidence:
         return [first, first + 1, first + 2]
 
     def hardly_seen(self, balls: bool = False) -> list[str]:
-        """Cameras that saw less than half as much as others, or such balls: they are elsewhere."""
+        """Cameras, or balls, with less than half as many views as most: they are elsewhere."""
         names = self.body.names if balls else [camera.name for camera in self.cameras]
         seen = np.bincount(self.balls if balls else self.views, minlength=len(names))
         return [n for n, count in zip(names, seen, strict=True) if count < np.median(seen) / 2]

@@ -158,9 +158,9 @@ _OF_A_CAMERA = Word.MOVED, Word.MOVED_AT, Word.ZOOM, Word.POINT, Word.UNKNOWN
 
 
 def _told(cause: Cause, evidence: Evidence) -> Cause:
-    """The same, but where the cause's camera, or another ball, was hardly seen: that it was not."""
+    """The same; but that a camera, or another ball than the cause's, is elsewhere, if so."""
     if cause.cause is Word.PLACE and (balls := {*evidence.hardly_seen(balls=True)} - {cause.of}):
-        text = f"hardly seen where the body file puts it: {', '.join(sorted(balls))}"
+        text = f"the cameras hardly see {', '.join(sorted(balls))} where the body file says"
         return _unclear(Level.WRONG, ALL, text)
     if cause.cause in _OF_A_CAMERA and cause.of in evidence.hardly_seen():
         text = f"{cause.of} sees the balls elsewhere than the others do, or not at all"

@@ -34,7 +34,7 @@ class LslSink(Sink):
         if not self.address:
             raise ConfigError("expected a name for the stream")
         self._lsl = needed("pylsl", "lsl")
-        # Once: the machine's clock may be set later on. Interrupted in between, it is too small.
+        # Once, as the clock may be set later. An interruption between the two makes it too small.
         self._begun_s = max(time.time() - float(self._lsl.local_clock()) for _ in range(10))
         self._poses: Any = None
         self._marks: Any = None
