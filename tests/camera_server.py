@@ -14,33 +14,21 @@ from measure_studio.capture.mjpeg import CameraHandler, part_head, serve_cameras
 
 @dataclass
 class ServedCamera:
-    """One camera's pictures and its manners.
+    """One camera's pictures and its manners."""
 
-    Attributes:
-        pictures: JPEGs; from the last one on they come back in reverse, for ever. Others may be put
-            in their place at any time.
-        period_s: between two of them; it may be changed to a part of what it was.
-        phase_s: how much later than others it begins.
-        lengths: whether parts say how long they are.
-        stamps: whether parts carry the camera's own time.
-        late_s: how much later than taken each picture is sent, in turn.
-        breaks_after: pictures after which the connection breaks off in the middle of one.
-        password: asked for, with any user's name.
-        challenges: by which it is asked for; any answer to a digest challenge is taken.
-        answers: the `Authorization` headers that came.
-        taken_s: when each picture that was sent was taken, `time.time`, and which it was.
-    """
-
+    # JPEGs; from the last one on they come back in reverse, for ever. Others may be put in their
+    # place at any time.
     pictures: Sequence[bytes]
-    period_s: float = 1 / 30
-    phase_s: float = 0.0
-    lengths: bool = True
-    stamps: bool = False
-    late_s: Sequence[float] = (0.0,)
-    breaks_after: int | None = None
-    password: str | None = None
-    challenges: Sequence[str] = ()
-    answers: list[str] = field(default_factory=list)
+    period_s: float = 1 / 30  # may be changed to a part of what it was
+    phase_s: float = 0.0  # how much later than others it begins
+    lengths: bool = True  # whether parts say how long they are
+    stamps: bool = False  # whether parts carry the camera's own time
+    late_s: Sequence[float] = (0.0,)  # how much later than taken each picture is sent, in turn
+    breaks_after: int | None = None  # pictures, in the middle of one
+    password: str | None = None  # asked for, with any user's name
+    challenges: Sequence[str] = ()  # that ask for it; any answer to a digest challenge is taken
+    answers: list[str] = field(default_factory=list)  # the `Authorization` headers that came
+    # when each picture that was sent was taken, `time.time`, and which it was.
     taken_s: list[tuple[float, int]] = field(default_factory=list)
 
     def parts(self, begun: float) -> Iterator[bytes]:

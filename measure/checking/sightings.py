@@ -19,7 +19,7 @@ from measure.model.observations import Reason
 MOST_INSTANTS, _FEWEST = 60, 5
 _MOTION_CONFIDENCE = 0.9999
 _APART_S = 0.5  # From what was followed, which says more of the time near it
-_AGREEING = 2  # Balls that agree with the pose, from which a camera's others are other things
+_AGREEING = 2  # Of a camera's balls, or a ball's cameras, from which others are other things
 _LIKELY_RATIO = 1.6
 """Largest factor of an outline's size that a far zoomed camera may show of a ball."""
 
@@ -135,26 +135,23 @@ def _seen_there(
     body: Body,
     cameras: Sequence[Camera],
 ) -> list[Detection]:
-    """What agrees with the pose; of a camera with less than two such balls what is near, or alike.
+    """What agrees with the pose; of a camera, or a ball, with less than two of these what is near.
 
-    That is the candidate nearest to where a ball should be, else the best of about its size.
+    That is the candidate nearest to where a ball should be; of a camera else the best of its size.
     """
     seen = {(d.camera, d.ball): d for d in sample.agreeing}
-    agreeing = Counter(camera for camera, _ in seen)
-    lost = {camera.name for camera in cameras if agreeing[camera.name] < _AGREEING}
-    seen |= {(d.camera, d.ball): d for d in sample.nearest if d.camera in lost}
+    by_camera, by_ball = (Counter(pair[i] for pair in seen) for i in (0, 1))
+    lost = {camera.name for camera in cameras if by_camera[camera.name] < _AGREEING}
+    near = [d for d in sample.nearest if d.camera in lost or by_ball[d.ball] < _AGREEING]
+    seen |= {(d.camera, d.ball): d for d in near}
     assert sample.world_from_body is not None
     centers = sample.world_from_body.apply(body.centers)
     for camera in (camera for camera in cameras if camera.name in lost):
         away = np.linalg.norm(centers - camera.center, axis=1)
         for k, ball in enumerate(body.balls):
             radius_px = camera.intrinsics.focal_px * ball.radius_mm / away[k]
-            alike = [
-                d
-                for d in every.get(camera.name, ())
-                if d.ball == ball.name
-                and 1 / _LIKELY_RATIO < d.radius_px / radius_px < _LIKELY_RATIO
-            ]
+            own = [d for d in every.get(camera.name, ()) if d.ball == ball.name]
+            alike = [d for d in own if 1 / _LIKELY_RATIO < d.radius_px / radius_px < _LIKELY_RATIO]
             if alike and (camera.name, ball.name) not in seen:
                 seen[camera.name, ball.name] = max(alike, key=lambda d: d.score)
     return list(seen.values())

@@ -62,21 +62,13 @@ def shifted(cameras: Cameras, shift_px: float) -> list[Camera]:
 
 @dataclass(frozen=True)
 class Rig:
-    """A wrong rig, and what is said of it.
-
-    Attributes:
-        wrong: what is done to the cameras.
-        amount: of that.
-        level: of the finding of `check`.
-        said: a pattern of its words.
-        flag: a pattern of a flag of most poses; empty if they may be believed.
-    """
+    """A wrong rig, and what is said of it."""
 
     wrong: Callable[[Cameras, float], list[Camera]]
     amount: float
     level: Level
-    said: str
-    flag: str = ""
+    said: str  # a pattern of the words of `check`
+    flag: str = ""  # a pattern of a flag of most poses; empty if they may be believed
 
 
 RIGS = {
@@ -189,6 +181,18 @@ def test_a_scale_too_small_to_be_seen_stands_beside_the_covariance(
     assert found.position_consistency.inside_95 <= 0.2
     assert found.scaled_consistency.inside_95 >= 0.9
     assert run.summary.scale_sd_mm == pytest.approx(0.15, abs=0.02)
+
+
+def test_a_ball_far_out_of_its_place_is_no_error_of_scale(still: Path, tmp_path: Path) -> None:
+    """Two of three balls agree in all cameras then, at a distance that is 5 % off."""
+    with open_session(still) as session:
+        body = session.body
+    off = body.with_centers(body.centers + np.array([[-4.1, -0.4, -2.2], [0, 0, 0], [0, 0, 0]]))
+    write_body(tmp_path / "body.toml", off)
+    found = api.check(still, Registry.discover(), body=tmp_path / "body.toml")
+    first, *_ = [f.text for f in found.findings if f.level is Level.WRONG]
+    assert re.match(r"ball green is not where the body file says, but 4\.\d\d \+- 0\.\d\d", first)
+    assert "cannot tell" not in first
 
 
 def test_a_body_that_is_its_own_twin_is_named(still: Path, tmp_path: Path) -> None:
