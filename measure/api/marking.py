@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from math import dist
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -33,6 +34,7 @@ MarkKind = Literal["dot", "cross", "corner", "as clicked"]
 MARK_KINDS: tuple[MarkKind, ...] = get_args(MarkKind)
 TAG_FAMILIES = ("APRILTAG_36H11", "4X4_100", "5X5_100", "6X6_250")
 _CAPTURE = "capture.toml"
+_ONE_PX = 1.0  # Marks nearer to each other than this are of one marker, clicked twice
 _REACH_PX = 25.0  # How far from a click the middle of what is meant may be
 
 
@@ -121,10 +123,8 @@ def begin_marks(out: Path, source: Path, calibration: Path, markers: Path | None
     for name, pixels in pictures.items():
         write_named(out, name, pixels)
     shutil.copyfile(calibration, out / "lenses.toml")
-    about: dict[str, object] = {
-        "name": out.resolve().name,
-        "marker_tolerance_mm": field.tolerance_mm,
-    }
+    about: dict[str, object] = {"name": out.resolve().name}
+    about["marker_tolerance_mm"] = field.tolerance_mm
     tables = [{"name": name, "calibration": "lenses.toml"} for name in pictures]
     (out / _CAPTURE).write_text(dump_toml({"capture": about, "cameras": tables}), "utf-8")
     begun = Marking(out)
@@ -184,7 +184,7 @@ class Marking:
         raise ConfigError(f"{name or 'marker'}: expected its name, and x, y, z in mm: 120, 35.5, 0")
 
     def set(self, camera: str, name: str, at_px: tuple[float, float], kind: MarkKind) -> Mark:
-        """Mark a marker in a picture; ConfigError where there is none of its kind."""
+        """Mark a marker in a picture; ConfigError where there is none of its kind, or another."""
         if not name.strip():
             raise ConfigError("which marker is it? give its name or number first")
         found = refined_mark(self._pixels(camera), at_px, kind, self._lenses[camera])
@@ -192,10 +192,13 @@ class Marking:
             reach_px = PATCH_PX if kind == "corner" else _REACH_PX
             raise ConfigError(
                 f"{camera}: no {kind} within {reach_px:g} px of the click: nothing was marked for "
-                f"{name}; click its middle, or choose "
-                '"as clicked"'
+                f'{name}; click its middle, or choose "as clicked"'
             )
-        mark = self.marks[camera][name] = found or Mark(at_px, refined=False)
+        mark, marks = found or Mark(at_px, refined=False), self.marks[camera]
+        for other, there in marks.items():
+            if other != name and dist(there.center_px, mark.center_px) < _ONE_PX:
+                raise ConfigError(f"{camera}: {other} is there: nothing was marked for {name}")
+        marks[name] = mark
         return mark
 
     def _pixels(self, camera: str) -> Bytes:

@@ -60,6 +60,21 @@ def click_wrongly(page, true):
     press(page, "locate the cameras")
     page.wait_for(NOTE.format("not yet: no marker is marked"), 20)
     assert not page.evaluate("!!document.querySelector('.q-notification.bg-positive')")
+    click_twice(page, true[0])
+
+
+def click_twice(page, camera):
+    """The second of two quick clicks is the next marker's, which is not there."""
+    at, marked = camera.project(FIELD.points), "document.querySelectorAll('circle.mark').length"
+    last = np.flatnonzero(camera.intrinsics.contains(at, 25.0))[-1]
+    name = choose_marker(page, last)
+    for _ in range(2):
+        click_at(page, ".marked img", *at[last])
+    page.wait_for(NOTE.format(f"{name} is there: nothing was marked for {FIELD.names[0]}"), 20)
+    assert page.evaluate(f"{marked} == 1")
+    choose_marker(page, last)
+    press(page, "remove$")
+    page.wait_for(f"{marked} == 0", 10)
 
 
 def choose_marker(page, k):

@@ -91,7 +91,7 @@ class _Wave:
 
         def work(job: Job) -> str:
             out, options = self._begin(job, "waved", "body")
-            last = None
+            said = ""
             try:
                 last = studio_api.capture_body(
                     cameras,
@@ -104,14 +104,15 @@ class _Wave:
                     on_state=partial(setattr, self, "state"),
                     on_balls=self._see_balls,
                 )
-            finally:
                 self.is_waved = False
                 if last is None or not (last.enough or self.suffices):
+                    return "stopped: the waving was not enough, and is not kept"
+                said = bench.calibrated(job, out, self._hear, body, lenses)
+            finally:
+                self.is_waved = False
+                if not said:
                     rmtree(out, ignore_errors=True)
                     self.capture = None
-            if self.capture is None:
-                return "stopped: the waving was not enough, and is not kept"
-            said = bench.calibrated(job, out, self._hear, body, lenses)
             if body is None and not (bench.folder / _BODY).is_file():
                 api.write_body(bench.folder / _BODY, api.paper_body())
             return said
@@ -179,9 +180,8 @@ class _Wave:
     @property
     def share(self) -> float:
         """How much of the accuracy that is asked for is there, 0 to 1."""
-        if self.state is None or not self.state.position_sd_mm > 0:
-            return 0.0
-        return min(self.state.goal_mm / self.state.position_sd_mm, 1.0)
+        state = self.state if self.can_calibrate else None
+        return min(state.goal_mm / state.position_sd_mm, 1.0) if state else 0.0
 
     def advice(self) -> str:
         """What to do next, in large letters."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from html import escape
@@ -98,9 +99,8 @@ class _MarksPage:
         found = marking.propose(self.camera, self.family, self.kind, balls)
         if found:
             return f"{self.camera}: found {', '.join(found)}"
-        return Hint(
-            f"{self.camera}: found no other marker; click four whose places are known first"
-        )
+        first = "click four whose places are known first"
+        return Hint(f"{self.camera}: found no other marker; {first}")
 
     def save(self, marking: api.Marking) -> str:
         """Write the marks."""
@@ -119,10 +119,8 @@ class _MarksPage:
 
     def counted(self, marking: api.Marking) -> str:
         """How many marks of markers at known places each camera has."""
-        counts = {
-            name: len(mine.keys() & marking.points.keys()) for name, mine in marking.marks.items()
-        }
-        return "Marked: " + ", ".join(f"{name} {count}" for name, count in counts.items())
+        known, marks = marking.points.keys(), marking.marks.items()
+        return "Marked: " + ", ".join(f"{name} {len(mine.keys() & known)}" for name, mine in marks)
 
     def rows(self, marking: api.Marking) -> list[dict[str, str]]:
         """Every marker, where it is, and where it is seen."""
@@ -197,10 +195,12 @@ def _head(bench: Bench, marks: _MarksPage, refresh: Callable[[], object]) -> Non
 def _picture(marks: _MarksPage, marking: api.Marking) -> None:
     """A picture that is clicked into, and what is marked in it."""
     shown = ""  # The camera whose picture is there: another one may be chosen already
+    in_turn = asyncio.Lock()  # A quick click is the next marker's
 
     async def click(at: events.MouseEventArguments) -> None:
         camera, at_px = shown, (at.image_x - 0.5, at.image_y - 0.5)
-        await tried(lambda: marks.click(marking, camera, at_px))
+        async with in_turn:
+            await tried(lambda: marks.click(marking, camera, at_px))
 
     with ui.row().classes("line"):
         ui.toggle([*marking.pictures]).props("no-caps").bind_value(marks, "camera")
