@@ -16,21 +16,13 @@ _BLOCK = re.compile(
 
 @dataclass(frozen=True)
 class Block:
-    """One fenced block.
+    """One fenced block."""
 
-    Attributes:
-        page: the file.
-        line: where it starts.
-        language: after the fence.
-        text: between the fences.
-        mark: the comment right above it ("file: NAME", "skip: REASON"), or "".
-    """
-
-    page: Path
-    line: int
-    language: str
-    text: str
-    mark: str
+    page: Path  # the file
+    line: int  # where it starts
+    language: str  # after the fence
+    text: str  # between the fences
+    mark: str  # the comment right above it ("file: NAME", "skip: REASON"), or ""
 
     def marked(self, key: str) -> str:
         """The value of the mark `key: value`, or ""."""

@@ -24,19 +24,12 @@ TIMES_S = (0.0, 0.1, 0.2)
 
 @dataclass(frozen=True)
 class Case:
-    """What is measured, and how far it may be off at most.
+    """What is measured, and how far it may be off at most."""
 
-    Attributes:
-        name: of a scene.
-        centers_px: RMS along an axis of the centres of balls that count.
-        position_mm: RMS of the pose.
-        rotation_deg: RMS of the pose.
-    """
-
-    name: str
-    centers_px: float
-    position_mm: float
-    rotation_deg: float
+    name: str  # of a scene
+    centers_px: float  # RMS along an axis of the centres of balls that count
+    position_mm: float  # RMS of the pose
+    rotation_deg: float  # RMS of the pose
 
 
 CASES = (

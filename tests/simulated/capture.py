@@ -40,31 +40,18 @@ def paper_markers() -> dict[str, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class CaptureScene:
-    """A rig to be calibrated.
+    """A rig to be calibrated."""
 
-    Attributes:
-        name: of the capture.
-        cameras: true ones.
-        board: in the intrinsic and extrinsic pictures.
-        boards_per_camera: intrinsic pictures.
-        markers: stated places by name, mm.
-        marker_sd_mm: how far, per axis, the dots really are from there.
-        dot_radius_mm: of the marker dots.
-        mark_sd_px: noise of the marks, per axis: a careful hand.
-        sensor: how the cameras turn light into files.
-        seed: of board poses, marker places, marks and picture noise.
-    """
-
-    name: str = "capture"
-    cameras: tuple[Camera, ...] = field(default_factory=paper_rig)
-    board: Chessboard = field(default_factory=Chessboard)
-    boards_per_camera: int = 14
-    markers: dict[str, Floats] = field(default_factory=paper_markers)
-    marker_sd_mm: float = 0.0
-    dot_radius_mm: float = 2.5
-    mark_sd_px: float = 0.3
-    sensor: CameraSensor = WEBCAM
-    seed: int = 0
+    name: str = "capture"  # of the capture
+    cameras: tuple[Camera, ...] = field(default_factory=paper_rig)  # true ones
+    board: Chessboard = field(default_factory=Chessboard)  # in the intrinsic and extrinsic pictures
+    boards_per_camera: int = 14  # intrinsic pictures
+    markers: dict[str, Floats] = field(default_factory=paper_markers)  # stated places by name, mm
+    marker_sd_mm: float = 0.0  # how far, per axis, the dots really are from there
+    dot_radius_mm: float = 2.5  # of the marker dots
+    mark_sd_px: float = 0.3  # noise of the marks, per axis: a careful hand
+    sensor: CameraSensor = WEBCAM  # how the cameras turn light into files
+    seed: int = 0  # of board poses, marker places, marks and picture noise
 
     def true_markers(self) -> dict[str, Floats]:
         """True places of the dots, mm."""
