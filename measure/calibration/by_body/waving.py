@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,15 @@ class _Sighting:
         return rms_length(self.pixels - other.pixels)
 
 
+class Located(NamedTuple):
+    """What is known of the cameras by the first instants of a wave."""
+
+    instants: int
+    sd_mm: float = float("nan")  # expected error of the body's position; NaN where there is none
+    motion: str = ""  # what unknown lenses need
+    problem: str = ""  # why the cameras cannot be located
+
+
 @dataclass
 class BodyWave:
     """Takes what cameras see of a body at instants, and keeps what adds something."""
@@ -56,10 +66,7 @@ class BodyWave:
     kept: list[Instant] = field(default_factory=list)
     _seen: list[dict[str, _Sighting]] = field(default_factory=list)  # At what is kept
     _now: dict[str, Now] = field(default_factory=dict)
-    _located: int = 0  # Instants by which the cameras were located last
-    _sd_mm: float = np.nan
-    _motion: str = ""  # What unknown lenses need
-    _problem: str = ""  # Why the cameras cannot be located
+    known: Located = field(default_factory=lambda: Located(0))  # what `located` gave last
 
     def add(self, detections: Mapping[str, Sequence[Detection]], time_s: float) -> bool:
         """Take what may be balls at one instant, by camera, and say whether it is kept.
@@ -78,24 +85,22 @@ class BodyWave:
 
     @property
     def wants_locating(self) -> bool:
-        """Whether so much was added that `locate` is worth its time."""
-        return len(self.kept) >= self._located + _FIT_EVERY
+        """Whether so much was added that `located` is worth its time."""
+        return len(self.kept) >= self.known.instants + _FIT_EVERY
 
-    def locate(self) -> None:
-        """Locate the cameras by what is kept, and say how well; it takes some seconds."""
-        instants = list(self.kept)
-        self._located = len(instants)
-        self._sd_mm, self._motion, self._problem = self._expected_mm(instants)
+    def copy(self) -> BodyWave:
+        """What is kept so far, for another process to locate the cameras by."""
+        return replace(self, sizes_wh={**self.sizes_wh}, kept=[*self.kept], _seen=[], _now={})
 
     def state(self) -> WaveState:
         """How far it is."""
         cameras = {name: self._camera(name) for name in self.sizes_wh}
         pairs = pairs_seen(cameras, self._seen)
-        state = WaveState(cameras, pairs, self._sd_mm, self.goal_mm, ())
+        state = WaveState(cameras, pairs, self.known.sd_mm, self.goal_mm, ())
         if state.enough:
             return state
-        lacks = [*filter(None, [self._motion]), *advice_of(cameras, pairs, "body")]
-        rest = self._problem or "every camera: carry the body to other places, and turn it"
+        lacks = [*filter(None, [self.known.motion]), *advice_of(cameras, pairs, "body")]
+        rest = self.known.problem or "every camera: carry the body to other places, and turn it"
         return replace(state, advice=tuple(lacks) or (rest,))
 
     def _sighting(self, name: str, detections: Sequence[Detection]) -> _Sighting | None:
@@ -105,8 +110,8 @@ class BodyWave:
         if not poses:
             return None
         places = poses[0].apply(self.body.centers)
-        distance_mm = float(np.linalg.norm(places.mean(axis=0)))
-        return _Sighting(lens.project(places), distance_mm, poses[0])
+        away_mm = float(np.linalg.norm(places.mean(axis=0)))
+        return _Sighting(lens.project(places), away_mm, poses[0])
 
     def lens(self, name: str) -> Intrinsics:
         """The lens of a camera whose pictures came; a usual one if it is unknown."""
@@ -127,21 +132,21 @@ class BodyWave:
             self._now.get(name, Now.NOTHING),
         )
 
-    def _expected_mm(self, instants: Sequence[Instant]) -> tuple[float, str, str]:
-        """The expected error of the body; NaN, and what lacks, where there is none yet."""
+    def located(self) -> Located:
+        """How well the cameras are known by what is kept; it takes some seconds."""
         lenses, body = {name: self.lens(name) for name in self.sizes_wh}, self.body
+        count = len(self.kept)
         try:
-            by = link if self.lenses is not None else link_by_focal_lengths
-            linked = by(lenses, body, instants)
+            linked = (link if self.lenses else link_by_focal_lengths)(lenses, body, self.kept)
             recording = recording_of_links(linked, body)
             try:
                 refinement = adjusted(linked.cameras, body, recording)
             except CalibrationError:
-                return float("nan"), "", ""  # more instants make a better start
+                return Located(count)  # more instants make a better start
             if self.lenses is None and (lacks := motion_lacks(refinement.cameras, recording)):
-                return float("nan"), lacks, ""
+                return Located(count, motion=lacks)
             shape = shape_of(refinement, body, recording)
             around = ball_places(recording.world_from_body, body.centers)
-            return expected_mm(body, shape.cameras, around, shape.joint), "", ""
+            return Located(count, expected_mm(body, shape.cameras, around, shape.joint))
         except (CalibrationError, DegenerateGeometryError) as problem:
-            return float("nan"), "", str(problem)
+            return Located(count, problem=str(problem))

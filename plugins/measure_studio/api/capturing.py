@@ -6,7 +6,7 @@ import glob
 import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -20,6 +20,7 @@ from measure.arrays import Bytes, Floats
 from measure.errors import ConfigError
 from measure.host import Detector
 from measure.model import Detection, Image, paper_body
+from measure.processes import processes
 from measure.session import dump_toml, read_body
 from measure_studio.api.recording import (
     SESSION,
@@ -95,8 +96,7 @@ def _wave(
     on_corners: OnCorners,
 ) -> api.WaveState | None:
     """Gather pictures, and write those that the wave keeps."""
-    state, rig = None, opened.cameras
-    names = list(rig.addresses)
+    state, rig, names = None, opened.cameras, [*opened.cameras.addresses]
     gathering = Gathering(names, on_read=rig.note_read)
     over = opened.begin(gathering.add)
     with ThreadPoolExecutor(len(names)) as pool:
@@ -112,8 +112,7 @@ def _wave(
                 _write(out, len(wave.kept), [i for i in images if i.camera in wave.kept[-1]])
             if wave.wants_a_closer_look:
                 wave.look_closer([_gray(image) for image in images])
-            state = wave.state()
-            on_state(state)
+            on_state(state := wave.state())
             if state.enough:
                 rig.stop()
     return state
@@ -160,8 +159,8 @@ def capture_body(
     wave = api.BodyWave(measured, {}, known, goal_mm)
     with open_rig(sources_of(cameras, [], options.request), [], options) as opened:
         recorder = new_recorder(out, opened, [measured], api.Calibration(()), "")
-        with recorder, ThreadPoolExecutor(1) as locating:
-            state = _wave_body(opened, wave, recorder, registry, locating, on_state, on_balls)
+        with recorder:
+            state = _wave_body(opened, wave, recorder, registry, on_state, on_balls)
             opened.cameras.wait()  # what is counted is to be in the folder
     return state
 
@@ -171,21 +170,20 @@ def _wave_body(
     wave: api.BodyWave,
     recorder: Recorder,
     registry: api.Registry,
-    locating: Executor,
     on_state: Callable[[api.WaveState], None],
     on_balls: OnBalls,
 ) -> api.WaveState | None:
     """Record, and look at frame sets as fast as this computer can."""
-    state, rig, located = None, opened.cameras, None
-    names = list(rig.addresses)
+    state, located, detectors = None, None, dict[str, Detector]()
+    rig, names = opened.cameras, [*opened.cameras.addresses]
     gathering, profile = Gathering(names, on_read=rig.note_read), api.load_profile()
-    detectors: dict[str, Detector] = {}
 
     def search(image: Image) -> Sequence[Detection]:
         return detectors[image.camera].detect(image, ())
 
     over = opened.begin(recorder.add, gathering.add)
-    with ThreadPoolExecutor(len(names)) as pool:
+    # Threads that locate would keep those that read and show pictures waiting.
+    with ThreadPoolExecutor(len(names)) as pool, processes(1) as locating:
         for one in gathering.frame_sets(over, rig.check):
             images = [*one.images.values()]
             wave.sizes_wh.update((i.camera, i.pixels.shape[1::-1]) for i in images)
@@ -195,8 +193,10 @@ def _wave_body(
             seen = dict(zip(one.images, pool.map(search, images), strict=True))
             on_balls(images, seen)
             wave.add(seen, one.time_s)
-            if wave.wants_locating and (located is None or located.done()):
-                located = locating.submit(wave.locate)
+            if located is not None and located.done():
+                wave.known, located = located.result(), None
+            if located is None and wave.wants_locating:
+                located = locating.submit(wave.copy().located)
             on_state(state := wave.state())
             if state.enough:
                 rig.stop()

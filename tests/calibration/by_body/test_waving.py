@@ -40,7 +40,7 @@ def wave_on(wave, instants):
     for one in stamped(instants):
         wave.add(one.detections, one.time_s)
         if wave.wants_locating:
-            wave.locate()
+            wave.known = wave.located()
         if wave.state().enough:
             break
     return wave.state()
@@ -77,7 +77,7 @@ def test_cameras_that_never_see_it_at_once_are_named(rig, paper_body):
     assert {"cam2", "cam3"} & {*told[0].partition(":")[0].split()}
     assert not wave.state().enough
     before = wave.state().advice
-    wave.locate()  # That it cannot be done yet says less than what to do
+    wave.known = wave.located()  # That it cannot be done yet says less than what to do
     assert wave.state().advice == before
 
 
@@ -96,7 +96,7 @@ def test_what_the_motion_lacks_for_unknown_lenses_is_said(rig, paper_body, are_k
         held = replace(pose, translation=0.2 * pose.translation)
         seen = {c.name: seen_by(c, paper_body, held, paper_body.names, rng) for c in rig[:2]}
         wave.kept += stamped([Instant(k / 10, seen)])
-    wave.locate()
+    wave.known = wave.located()
     lacks = [line for line in wave.state().advice if line.startswith("wave the body nearer to")]
     assert not wave.state().enough
     assert bool(lacks) != are_known
