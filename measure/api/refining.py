@@ -35,7 +35,7 @@ from measure.errors import CalibrationError, ConfigError
 from measure.geometry import RigidTransform, align_points
 from measure.host import Registry
 from measure.host.registry import suggestion
-from measure.limits import MAX_STEPS, SPREAD_OVER
+from measure.limits import MAX_STEPS, SIGNIFICANT_SIGMAS, SPREAD_OVER
 from measure.measuring import Measurement, Profile
 from measure.measuring.association import associate
 from measure.model import BallColor, Body, Camera, Detection
@@ -244,22 +244,15 @@ class FoundBody:
 
 @dataclass(frozen=True)
 class BodySearch:
-    """Which body is looked for, and how.
+    """Which body is looked for, and how."""
 
-    Attributes:
-        radius_mm: radius of each ball.
-        like: body file with the balls' names and colours and the frame to use; needed where two
-            balls have one colour, or one that has no common name.
-        origin: ball to put the origin at; the centroid of all if omitted.
-        calibration: a calibration file to use instead of the session's own.
-        profile: how to measure the session, by name or TOML file.
-    """
-
-    radius_mm: float
+    radius_mm: float  # of each ball
+    # Body file with the balls' names and colours and the frame to use; needed where two balls have
+    # one colour, or one that has no common name.
     like: Path | None = None
-    origin: str | None = None
-    calibration: Path | None = None
-    profile: str = "precise"
+    origin: str | None = None  # ball to put the origin at; the centroid of all if omitted
+    calibration: Path | None = None  # used instead of the session's own
+    profile: str = "precise"  # how to measure the session, by name or TOML file
 
 
 def find_body(
@@ -299,10 +292,8 @@ def find_body(
         try:
             found = _adjusted(opened, rough, pattern, origin, chosen, registry, progress)
         except CalibrationError as problem:
-            problem_of_size = wrong_size(frames, rough)
-            raise CalibrationError(
-                f"{problem_of_size} ({problem})" if problem_of_size else str(problem)
-            ) from None
+            size = wrong_size(frames, rough)
+            raise CalibrationError(f"{size} ({problem})" if size else str(problem)) from None
         return replace(found, left_out=left_out(frames, every, rough.names))
 
 
@@ -364,17 +355,17 @@ def _adjusted(
     def measured_so_far(done: int, _: int | None) -> None:
         progress(searched + done, searched + total)
 
-    measured, sized = measure_all(
-        replace(session, body=first), lenient(profile), registry, measured_so_far
-    )
+    how = lenient(profile), registry, measured_so_far
+    measured, sized = measure_all(replace(session, body=first), *how)
+    sds = np.sqrt(np.diag(sized.radius_covariance))
+    if np.any(np.abs(sized.radii - first.radii) > SIGNIFICANT_SIGMAS * sds):
+        # Sizes that are off by percents are found only roughly at once.
+        nearer = zip(first.balls, sized.radii.tolist(), strict=True)
+        first = replace(first, balls=tuple(replace(b, radius_mm=mm) for b, mm in nearer))
+        measured, sized = measure_all(replace(session, body=first), *how)
     recording = recording_of(measured, sized, least_motion_mm=0.0)
-    refined = refine_rig(
-        session.cameras,
-        sized,
-        recording,
-        RefineSettings(body_tolerance_mm=_FREE_MM),
-        joint_covariance(session),
-    )
+    free = RefineSettings(body_tolerance_mm=_FREE_MM)
+    refined = refine_rig(session.cameras, sized, recording, free, joint_covariance(session))
     distances = _distances(sized.names, refined.centers, refined.center_covariance)
     variance = np.mean([sd**2 for _, sd in distances.values()])
     place, words = _frame(refined.centers, sized.names, pattern, origin, distances)
@@ -385,8 +376,9 @@ def _adjusted(
         tolerance_mm=round(float(np.sqrt(variance / 2)), 4),
     )
     rms = float(np.sqrt(np.mean([after**2 for _, after in refined.rms_px.values()])))
-    sds = np.sqrt(np.diag(sized.radius_covariance)).tolist()
-    seen = dict(zip(sized.names, zip(sized.radii.tolist(), sds, strict=True), strict=True))
+    sds = np.sqrt(np.diag(sized.radius_covariance))
+    sizes = zip(sized.radii.tolist(), sds.tolist(), strict=True)
+    seen = dict(zip(sized.names, sizes, strict=True))
     return FoundBody(body, distances, seen, words, refined.frames, rms)
 
 

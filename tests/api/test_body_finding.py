@@ -153,8 +153,10 @@ def test_a_session_without_a_body_gives_one_within_its_uncertainty(still, tmp_pa
     assert set(found.names) == set(truth.names)
     aligned = tmp_path / "like.toml"
     shutil.copy(still / "body.toml", tmp_path / "known.toml")
-    words = ["body", str(session), "--radius-mm", "20", "--like", str(tmp_path / "known.toml")]
-    assert main([*words, "-o", str(aligned)]) == 0
+    words = ["body", str(session), "--radius-mm", "20.7", "--like", str(tmp_path / "known.toml")]
+    assert main([*words, "-o", str(aligned), "--json"]) == 0
+    for radius_mm, sd_mm in json.loads(capsys.readouterr().out)["seen_radii_mm"].values():
+        assert abs(radius_mm - 20) < 3 * sd_mm < 0.3, "a radius 3.5 % off does no harm"
     np.testing.assert_allclose(read_body(aligned).centers, truth.centers, atol=0.1)
 
 
