@@ -11,7 +11,7 @@ from measure.arrays import Floats
 from measure.checking.causes import ALL, Cause, Word, significant
 from measure.checking.clocks import CameraClock
 from measure.checking.evidence import SEARCHED_PX, TRACKED_PX, Evidence
-from measure.checking.explaining import Explanation, explain, fitted, wanders_px, worst_camera
+from measure.checking.explaining import Explanation, broadly_left, explain, fitted, wanders_px
 from measure.checking.finding import Level
 from measure.checking.hypotheses import Hypothesis, of_camera
 from measure.checking.search import SearchSample
@@ -86,7 +86,9 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
         causes = [c for c in causes if c.of != name]
         causes.insert(0, _wandering(name, size_px, found[0].wrong))
     elif fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
-        causes.insert(0, _unknown(worst_camera(evidence, fit), causes))
+        broadly, camera = broadly_left(evidence, fit)
+        if broadly > most:
+            causes.insert(0, _unknown(camera, causes))
     return Diagnosis(tuple(causes), misfit, left, evidence, tuple(found))
 
 

@@ -49,8 +49,8 @@ _BLOCKS, _ITERATIONS, _REFINED = 8, 8, 10
 _MIN_INSTANTS, _MIN_PART = 4, 3
 """Least number of instants; and before and after the one at which something changes."""
 _MOST_CAUSES = 3
-_WORST_SHARE, _WORST_SIGMAS = 0.5, 30.0
-"""Of what is left, from which one camera is named; a view counts up to so much."""
+_WORST_SHARE, _WORST_SIGMAS, _CHANCE_SHARE = 0.5, 30.0, 0.1
+"""Of what is left, from which one camera is named; what a view counts at most; how many stray."""
 _MAX_SPLITS = 40
 _WHOLE = 0.2  # By which a mistake that holds or does not may seem to hold by more, or less, than 1
 
@@ -131,9 +131,7 @@ def explain(evidence: Evidence) -> tuple[list[Explanation], float, Fit | None]:
     taken: set[tuple[Word, str]] = set()
     while len(found) < _MOST_CAUSES:
         best = _best(evidence, here, taken)
-        if best is None or (
-            found and not best.wrong
-        ):  # beside another cause the slight may be chance
+        if best is None or (found and not best.wrong):  # Beside another the slight may be chance
             break
         found.append(best)
         here = best.fit
@@ -354,15 +352,16 @@ def _inverses(matrices: Floats) -> Floats:
     )
 
 
-def worst_camera(evidence: Evidence, fit: Fit) -> str | None:
-    """The camera that most of what is left concerns; None if it is none alone."""
+def broadly_left(evidence: Evidence, fit: Fit) -> tuple[float, str | None]:
+    """What is left without the worst views, and the camera that most of it concerns, if one."""
     values = np.concatenate([fit.values, fit.common])
     residuals = _linearised(evidence, fit.poses, fit.hypotheses, values).residuals
     lengths = np.minimum(np.linalg.norm(residuals, axis=1), _WORST_SIGMAS)
+    usual = np.sort(lengths)[: round((1 - _CHANCE_SHARE) * len(lengths))]
     shares = np.bincount(evidence.views, lengths**2, len(evidence.cameras))
     worst = int(np.argmax(shares))
-    alone = shares[worst] > _WORST_SHARE * shares.sum()
-    return evidence.cameras[worst].name if alone else None
+    name = evidence.cameras[worst].name if shares[worst] > _WORST_SHARE * shares.sum() else None
+    return _LOSS.cost(usual) / max(fit.freedom, 1), name
 
 
 def _linearised(
