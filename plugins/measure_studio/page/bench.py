@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -96,6 +97,8 @@ class Job:
             self.problem = str(problem)
         except OSError as problem:
             self.problem = f"{problem.filename or ''}: {problem.strerror}"
+        except BrokenProcessPool:
+            self.problem = f"{self.title}: a process was killed, perhaps for want of memory"
         finally:
             self.ended_s = time.monotonic()
             self._on_end(self)
