@@ -351,18 +351,13 @@ def _adjusted(
     """Measure the recording with a rough body, and adjust that by bundle adjustment."""
     first, total = replace(rough, tolerance_mm=_ROUGH_MM), len(session.pair().times_s)
     searched = min(SPREAD_OVER, total)
-
-    def measured_so_far(done: int, _: int | None) -> None:
-        progress(searched + done, searched + total)
-
-    how = lenient(profile), registry, measured_so_far
-    measured, sized = measure_all(replace(session, body=first), *how)
-    sds = np.sqrt(np.diag(sized.radius_covariance))
-    if np.any(np.abs(sized.radii - first.radii) > SIGNIFICANT_SIGMAS * sds):
-        # Sizes that are off by percents are found only roughly at once.
-        nearer = zip(first.balls, sized.radii.tolist(), strict=True)
-        first = replace(first, balls=tuple(replace(b, radius_mm=mm) for b, mm in nearer))
+    how = lenient(profile), registry, lambda done, _: progress(searched + done, searched + total)
+    for _ in range(2):  # The first pass finds sizes that are off by percents only roughly
         measured, sized = measure_all(replace(session, body=first), *how)
+        sds = np.sqrt(np.diag(sized.radius_covariance))
+        if np.all(np.abs(sized.radii - first.radii) <= SIGNIFICANT_SIGMAS * sds):
+            break
+        first = replace(first, balls=sized.balls)
     recording = recording_of(measured, sized, least_motion_mm=0.0)
     free = RefineSettings(body_tolerance_mm=_FREE_MM)
     refined = refine_rig(session.cameras, sized, recording, free, joint_covariance(session))
@@ -376,7 +371,6 @@ def _adjusted(
         tolerance_mm=round(float(np.sqrt(variance / 2)), 4),
     )
     rms = float(np.sqrt(np.mean([after**2 for _, after in refined.rms_px.values()])))
-    sds = np.sqrt(np.diag(sized.radius_covariance))
     sizes = zip(sized.radii.tolist(), sds.tolist(), strict=True)
     seen = dict(zip(sized.names, sizes, strict=True))
     return FoundBody(body, distances, seen, words, refined.frames, rms)

@@ -50,7 +50,7 @@ _MIN_INSTANTS, _MIN_PART = 4, 3
 """Least number of instants; and before and after the one at which something changes."""
 _MOST_CAUSES = 3
 _WORST_SHARE, _WORST_SIGMAS, _CHANCE_SHARE = 0.5, 30.0, 0.1
-"""Of what is left, from which one camera is named; what a view counts at most; how many stray."""
+"""Of what is left, from which one camera is named; a view's most; views that may stray."""
 _MAX_SPLITS = 40
 _WHOLE = 0.2  # By which a mistake that holds or does not may seem to hold by more, or less, than 1
 
@@ -353,7 +353,7 @@ def _inverses(matrices: Floats) -> Floats:
 
 
 def broadly_left(evidence: Evidence, fit: Fit) -> tuple[float, str | None]:
-    """What is left without the worst views, and the camera that most of it concerns, if one."""
+    """`Fit.left` without the worst views, and the camera that causes most of `Fit.left`, if any."""
     values = np.concatenate([fit.values, fit.common])
     residuals = _linearised(evidence, fit.poses, fit.hypotheses, values).residuals
     lengths = np.minimum(np.linalg.norm(residuals, axis=1), _WORST_SIGMAS)

@@ -19,7 +19,7 @@ from measure.model.observations import Reason
 MOST_INSTANTS, _FEWEST = 60, 5
 _MOTION_CONFIDENCE = 0.9999
 _APART_S = 0.5  # From what was followed, which says more of the time near it
-_AGREEING = 2  # Of a camera's balls, or a ball's cameras, from which others are other things
+_AGREEING = 2  # Balls of a camera, or cameras of a ball, that must agree with the pose
 _LIKELY_RATIO = 1.6
 """Largest factor of an outline's size that a far zoomed camera may show of a ball."""
 
@@ -135,9 +135,9 @@ def _seen_there(
     body: Body,
     cameras: Sequence[Camera],
 ) -> list[Detection]:
-    """What agrees with the pose; of a camera, or a ball, with less than two of these what is near.
+    """What agrees with the pose, and what is near it where a camera or a ball hardly agrees.
 
-    That is the candidate nearest to where a ball should be; of a camera else the best of its size.
+    Near is the candidate nearest to where a ball should be, or the best of its size in the camera.
     """
     seen = {(d.camera, d.ball): d for d in sample.agreeing}
     by_camera, by_ball = (Counter(pair[i] for pair in seen) for i in (0, 1))

@@ -158,7 +158,7 @@ _OF_A_CAMERA = Word.MOVED, Word.MOVED_AT, Word.ZOOM, Word.POINT, Word.UNKNOWN
 
 
 def _told(cause: Cause, evidence: Evidence) -> Cause:
-    """The same; but that a camera, or another ball than the cause's, is elsewhere, if so."""
+    """The same, unless its camera or another ball is hardly seen: then the cause is unclear."""
     if cause.cause is Word.PLACE and (balls := {*evidence.hardly_seen(balls=True)} - {cause.of}):
         text = f"the cameras hardly see {', '.join(sorted(balls))} where the body file says"
         return _unclear(Level.WRONG, ALL, text)

@@ -137,7 +137,8 @@ class BodyWave:
         lenses, body = {name: self.lens(name) for name in self.sizes_wh}, self.body
         count = len(self.kept)
         try:
-            linked = (link if self.lenses else link_by_focal_lengths)(lenses, body, self.kept)
+            by = link_by_focal_lengths if self.lenses is None else link
+            linked = by(lenses, body, self.kept)
             recording = recording_of_links(linked, body)
             try:
                 refinement = adjusted(linked.cameras, body, recording)

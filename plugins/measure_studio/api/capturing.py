@@ -182,7 +182,7 @@ def _wave_body(
         return detectors[image.camera].detect(image, ())
 
     over = opened.begin(recorder.add, gathering.add)
-    # Threads that locate would keep those that read and show pictures waiting.
+    # A thread of this process that locates cameras waits for those that read and show pictures.
     with ThreadPoolExecutor(len(names)) as pool, processes(1) as locating:
         for one in gathering.frame_sets(over, rig.check):
             images = [*one.images.values()]
