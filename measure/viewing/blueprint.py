@@ -26,7 +26,7 @@ def run_blueprint(
     names = [camera.name for camera in cameras]
     scene = rrb.Spatial3DView(
         origin=entities.WORLD,
-        name="Scene (uncertainty x100)",
+        name="Scene",
         contents=["$origin/**", *(f"- {entities.image(name)}/**" for name in names)],
         overrides=dict.fromkeys(trails, up_to_cursor()),
         eye_controls=_eye(cameras),

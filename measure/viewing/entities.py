@@ -16,8 +16,7 @@ from measure.limits import SINCE_1970_S
 WORLD = "world"
 BODY = "world/body"
 TRAIL = "world/trail"
-UNCERTAINTY = "world/uncertainty_x100"
-UNCERTAINTY_SCALE = 100.0
+UNCERTAINTY = "world/uncertainty"
 STATUS = "status"
 TIMELINE_FRAME = "frame"
 TIMELINE_TIME = "time"
@@ -144,10 +143,7 @@ def lengths(rows: Iterable[Sized]) -> list[int]:
 
 def points(rows: Iterable[Any], width: int) -> Floats:
     """Coordinates (n, width) from any number of arrays of them, possibly none."""
-    gathered = list(rows)
-    if not gathered:
-        return np.zeros((0, width))
-    return np.concatenate(gathered, axis=None).reshape(-1, width)
+    return np.concatenate([*rows, np.zeros((0, width))], axis=None).reshape(-1, width)
 
 
 def set_time(stream: Stream, time_s: float) -> None:

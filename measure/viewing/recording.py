@@ -23,7 +23,6 @@ import av
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from scipy.spatial.transform import Rotation
 
 from measure.errors import ConfigError
 from measure.limits import PATIENCE_S
@@ -288,7 +287,8 @@ class RunRecording:
         live: bool = False,
     ) -> None:
         self._stream = stream
-        self._bodies = [(b, entities.suffix(b.name, len(bodies) > 1)) for b in bodies]
+        several = len(bodies) > 1
+        self._bodies = [(b, entities.suffix(b.name, several), scene.PosesBefore()) for b in bodies]
         self._cameras = cameras
         self._image_every = image_every
         self._videos = dict(videos or {}) if image_every else {}
@@ -297,7 +297,6 @@ class RunRecording:
         self._status = dict[str, str]()
         self._sent_at = time.monotonic()
         self._sets: list[Sequence[Measurement]] = []
-        self._first = dict[str, Rotation]()
         self._pictured: list[bool] = []
         self._has_pictures = False  # The first frame set has them, or none
         scene.log_rig(stream, bodies, cameras)
@@ -327,7 +326,7 @@ class RunRecording:
         if frame_set is not None and pictured:
             self._log_images(measured[0], frame_set)
             self._has_pictures = True
-        for one, (_, end) in zip(measured, self._bodies, strict=True):
+        for one, (_, end, _) in zip(measured, self._bodies, strict=True):
             self._log_status(one, entities.STATUS + end)
         self._sets.append(measured)
         self._pictured.append(pictured)
@@ -342,12 +341,12 @@ class RunRecording:
 
     def _send(self) -> None:
         pictured, cameras = np.array(self._pictured), self._cameras
-        for number, (body, end) in enumerate(self._bodies if self._sets else ()):
+        for number, (body, end, before) in enumerate(self._bodies if self._sets else ()):
             sets = [one[number] for one in self._sets]
             times_s = [one.time_s for one in sets]
             columns = FrameSetBatch(self._stream, [one.index for one in sets], times_s, end)
             scene.send_balls(columns, sets, body, cameras)
-            scene.send_poses(columns, sets, self._first)
+            scene.send_poses(columns, sets, body, before)
             scene.send_views(columns, sets, pictured, body, cameras, self._has_pictures)
             scene.send_traces(columns, sets, cameras)
             if body.name in self._truths:

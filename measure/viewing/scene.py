@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import rerun as rr
 from scipy.spatial.transform import Rotation
 
-from measure.arrays import Bools, Floats
+from measure.arrays import Bools, Bytes, Floats
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement
 from measure.model import BallView, Body, Camera, Detection, Image, Pose
-from measure.model.observations import Reason, State
+from measure.model.observations import State
 from measure.session import Trajectory
 from measure.viewing import entities, state_colors
 from measure.viewing.entities import FrameSetBatch, lengths, points
@@ -33,9 +33,8 @@ def send_balls(
         here = np.array(lengths(positions), dtype=bool)
         places = points((position.center for row in positions for position in row), 3)
         centers[here, number] = places
-        columns.send(
-            entities.ball(ball.name), rr.Ellipsoids3D.columns(centers=places).partition(here)
-        )
+        shown = rr.Ellipsoids3D.columns(centers=places).partition(here)
+        columns.send(entities.ball(ball.name), shown)
         used = [[name for position in row for name in position.cameras] for row in positions]
         ends = np.repeat(centers[:, number], lengths(used), axis=0)
         starts = points((eyes[name] for row in used for name in row), 3)
@@ -47,14 +46,18 @@ def send_balls(
         columns.scalars(entities.distance(first, second), np.linalg.norm(apart, axis=1) - nominal)
 
 
-def send_poses(
-    columns: FrameSetBatch, sets: Sequence[Measurement], first: dict[str, Rotation]
-) -> None:
-    """The body's axes, trail and uncertainty; without a pose none of them is shown.
+@dataclass
+class PosesBefore:
+    """What a body's earlier poses settled for those that follow."""
 
-    Args:
-        first: by body's suffix its first rotation, which is put in.
-    """
+    first: Rotation | None = None  # rotation, which plots are relative to
+    enlarged: float = 0.0  # how many times as large as it is the uncertainty is drawn
+
+
+def send_poses(
+    columns: FrameSetBatch, sets: Sequence[Measurement], body: Body, before: PosesBefore
+) -> None:
+    """The body's axes, trail and uncertainty; without a pose none of them is shown."""
     poses = [one.pose for one in sets if one.pose is not None]
     here = np.array([one.pose is not None for one in sets])
     place, turn = np.zeros((len(sets), 3)), np.zeros((len(sets), 4))
@@ -70,11 +73,19 @@ def send_poses(
         rr.Transform3D.columns(translation=place, quaternion=turn),
         rr.TransformAxes3D.columns(axis_length=AXES_MM * here),
     )
-    columns.send(
-        entities.TRAIL, rr.Points3D.columns(positions=place[here]).partition(here.astype(int))
-    )
+    trail = rr.Points3D.columns(positions=place[here])
+    columns.send(entities.TRAIL, trail.partition(here.astype(int)))
     half, axes = _ellipsoids(covariance)
-    haze = rr.Ellipsoids3D.columns(centers=place[here], half_sizes=half, quaternions=axes)
+    if poses:
+        # About a ball's size; as long as that holds, the factor stays for sizes to be compared.
+        fits = body.balls[0].radius_mm / max(np.median(half.max(axis=1)), 1e-9)
+        if not before.enlarged / 10 < fits < before.enlarged * 10:
+            before.enlarged = 10.0 ** np.round(np.log10(fits))
+    half *= before.enlarged
+    labels = [f"SD x{before.enlarged:g}"] * len(poses)
+    haze = rr.Ellipsoids3D.columns(
+        centers=place[here], half_sizes=half, quaternions=axes, labels=labels
+    )
     columns.send(entities.UNCERTAINTY, haze.partition(here.astype(int)))
     sd = np.full(len(sets), np.nan)
     sd[here] = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
@@ -82,7 +93,9 @@ def send_poses(
     along = np.full((len(sets), 6), np.nan)
     if poses:
         turns = Rotation.from_quat(turn[here])
-        since = turns * first.setdefault(columns.suffix, turns[0]).inv()
+        if before.first is None:
+            before.first = turns[0]
+        since = turns * before.first.inv()
         along[here] = np.hstack([place[here], since.as_rotvec(degrees=True)])
     for axis, moved, turned in zip("xyz", along[:, :3].T, along[:, 3:].T, strict=True):
         columns.scalars(entities.position(axis), moved)
@@ -131,13 +144,10 @@ def send_errors(columns: FrameSetBatch, sets: Sequence[Measurement], truth: Traj
 
 
 def _ellipsoids(covariances: Floats) -> tuple[Floats, Floats]:
-    """Half axes (n, 3) as they are drawn, and their rotations (n, 4), scalar last."""
-    if not len(covariances):
-        return np.zeros((0, 3)), np.zeros((0, 4))
+    """Half axes (n, 3), and their rotations (n, 4), scalar last."""
     values, axes = np.linalg.eigh(covariances)
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
-    half = entities.UNCERTAINTY_SCALE * np.sqrt(np.maximum(values, 0.0))
-    return half, Rotation.from_matrix(axes).as_quat()
+    return np.sqrt(np.maximum(values, 0.0)), Rotation.from_matrix(axes).as_quat()
 
 
 def log_rig(stream: entities.Stream, bodies: Sequence[Body], cameras: Sequence[Camera]) -> None:
@@ -215,7 +225,6 @@ def _log_body(stream: entities.Stream, body: Body, end: str) -> None:
     stream.log(entities.UNCERTAINTY + end, haze, static=True)
 
 
-Colors = npt.NDArray[np.uint32]
 _AROUND = np.linspace(0.0, 2 * np.pi, 33)
 _CIRCLE = np.column_stack([np.cos(_AROUND), np.sin(_AROUND)])
 
@@ -266,7 +275,7 @@ def _send_outlines(
     none = np.zeros((0, 2))
     edges = [none if one.outline_px is None else one.outline_px for one in found]
     counts = np.array(lengths(edges), dtype=np.int64)
-    dots = rr.Points2D.columns(positions=points(edges, 2), colors=np.repeat(colors, counts))
+    dots = rr.Points2D.columns(positions=points(edges, 2), colors=np.repeat(colors, counts, axis=0))
     last = np.cumsum([0, *lengths(seen)])
     before = np.cumsum([0, *counts])
     columns.send(entities.edges(camera), dots.partition(np.diff(before[last])), rows=rows)
@@ -314,17 +323,7 @@ def _detection(view: BallView) -> Detection:
     return view.detection
 
 
-def _colors(views: Sequence[BallView]) -> Colors:
-    """Packed RGBA (n,) for the state of each view."""
-    why = [None if view.state is State.EFFECTIVE else view.reason for view in views]
-    return np.array([_PACKED[reason] for reason in why], dtype=np.uint32)
-
-
-def _pack(color: tuple[int, int, int]) -> int:
-    red, green, blue = color
-    return red << 24 | green << 16 | blue << 8 | 255
-
-
-_PACKED = {None: _pack(state_colors.EFFECTIVE)} | {
-    reason: _pack(state_colors.REASONS.get(reason, state_colors.UNKNOWN)) for reason in Reason
-}
+def _colors(views: Sequence[BallView]) -> Bytes:
+    """RGB (n, 3) for the state of each view."""
+    colors = [state_colors.REASONS.get(view.reason, state_colors.UNKNOWN) for view in views]
+    return np.array(colors, np.uint8).reshape(-1, 3)

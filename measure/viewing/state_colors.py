@@ -6,6 +6,7 @@ from measure.model.observations import Reason
 
 EFFECTIVE = (80, 220, 120)
 REASONS = {
+    Reason.NONE: EFFECTIVE,
     Reason.JUMPED: (255, 140, 0),
     Reason.COLOR: (220, 80, 220),
     Reason.NOT_FOUND: (165, 125, 60),

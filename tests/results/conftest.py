@@ -11,28 +11,11 @@ import pytest
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
-from measure.model import (
-    Ball,
-    BallColor,
-    BallPosition,
-    BallView,
-    Body,
-    Camera,
-    Detection,
-    Intrinsics,
-    Pose,
-)
+from measure.model import BallPosition, BallView, Camera, Detection, Intrinsics, Pose, paper_body
 from measure.model.observations import Reason, State
 from measure.results import Provenance, Run, RunWriter, read_run
 
-BODY = Body(
-    "triangle",
-    (
-        Ball("green", BallColor.named("green"), np.array([38.0, 0.0, 0.0]), 20.0),
-        Ball("yellow", BallColor.named("yellow"), np.array([0.0, 38.0, 0.0]), 20.0),
-        Ball("red", BallColor.named("red"), np.array([-38.0, 0.0, 0.0]), 20.0),
-    ),
-)
+BODY = paper_body()
 PERIOD_S = 1 / 30
 
 

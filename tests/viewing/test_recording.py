@@ -170,6 +170,25 @@ def test_a_lost_body_leaves_no_axes_no_trail_and_no_uncertainty(recorded):
         assert [len(shown[k]) for k in (6, 7, 8)] == [1, 0, 1]
 
 
+def test_the_ellipsoid_is_about_as_large_as_a_ball_and_says_how_enlarged(tmp_path):
+    """By one factor while the uncertainty stays, by another one where it grows a hundredfold."""
+    path, one = tmp_path / "run.rrd", measurement(0)
+    scales = [1.0, 1.0, 2.0, 100.0, 100.0]
+    with RunRecording(open_recording("test", CAMERAS, path), [BODY], CAMERAS, 0) as run:
+        for index, scale in enumerate(scales):
+            pose = replace(one.pose, covariance=scale**2 * one.pose.covariance)
+            run.add([replace(one, index=index, time_s=index / 30, pose=pose)])
+            run.flush()
+    stored = read_recording(path)[entities.UNCERTAINTY]
+    labels = [label for (label,) in column(stored, "Ellipsoids3D:labels").values()]
+    halves = np.array(list(column(stored, "Ellipsoids3D:half_sizes").values()))[:, 0]
+    factors = np.array([float(label.removeprefix("SD x")) for label in labels])
+    largest = np.sqrt(np.linalg.eigvalsh(one.pose.covariance[:3, :3])[-1])
+    assert halves.max(axis=1) == pytest.approx(factors * scales * largest, rel=1e-5)
+    assert factors / factors[0] == pytest.approx([1, 1, 1, 0.01, 0.01])
+    assert np.all(np.abs(np.log10(halves.max(axis=1) / BODY.balls[0].radius_mm)) < 1)
+
+
 def test_unused_ball_is_marked_in_place_with_the_reason(tmp_path):
     one = measurement(5)
     missed = BallView("red", "cam0", State.SUSPENDED, Reason.NOT_FOUND)

@@ -94,7 +94,7 @@ def test_the_layout_travels_inside(measured: Path):
         if name == "ViewBlueprint:display_name"
         for value in np.ravel(batch[name].to_pylist())
     }
-    assert {"Scene (uncertainty x100)", "Error [mm]", "Residual [px]", *CAMERAS} <= names
+    assert {"Scene", "Error [mm]", "Residual [px]", *CAMERAS} <= names
 
 
 def test_the_error_traces_are_those_of_the_evaluation(measured: Path, session: Path):
