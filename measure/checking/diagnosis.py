@@ -81,13 +81,13 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
         causes = _of_two(evidence, causes)
     left = 0.0 if fit is None else fit.left
     most = _UNEXPLAINED[evidence.systematic_px]
-    if fit and left > _WELL_EXPLAINED and (wanders := wanders_px(evidence, fit)):
-        name, size_px = wanders
-        causes = [c for c in causes if c.of != name]
-        causes.insert(0, _wandering(name, size_px, found[0].wrong))
-    elif fit and left > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
+    if fit and left > (_WELL_EXPLAINED if found else most):
         broadly, camera = broadly_left(evidence, fit)
-        if broadly > most:
+        suspect = found[0].hypothesis.of if found else camera or ""
+        if size_px := wanders_px(evidence, fit, suspect):
+            causes = [c for c in causes if c.of != suspect]
+            causes.insert(0, _wandering(suspect, size_px, not found or found[0].wrong))
+        elif broadly > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
             causes.insert(0, _unknown(camera, causes))
     return Diagnosis(tuple(causes), misfit, left, evidence, tuple(found))
 

@@ -174,15 +174,14 @@ def _best(evidence: Evidence, here: Fit, taken: set[tuple[Word, str]]) -> Explan
     return Explanation(best, wrong, gain / max(left, 1e-9), tuple(rivals))
 
 
-def wanders_px(evidence: Evidence, fit: Fit) -> tuple[str, float] | None:
-    """The camera, and px RMS, of a picture that wanders: this explains more than causes that last.
+def wanders_px(evidence: Evidence, fit: Fit, of: str) -> float:
+    """By how many px RMS a camera's picture wanders, if this explains more than lasting causes.
 
-    It is asked of the camera that the first of them concerns.
+    Else, and where `of` is no camera, 0.
     """
     names = [camera.name for camera in evidence.cameras]
-    of = fit.hypotheses[0].of if fit.hypotheses else ""
     if of not in names:
-        return None
+        return 0.0
     index = names.index(of)
     others = tuple(one for one in fit.hypotheses if one.of != of)
     free = fitted(evidence, (*others, wandering(evidence, index)))
@@ -193,7 +192,7 @@ def wanders_px(evidence: Evidence, fit: Fit) -> tuple[str, float] | None:
     )
     turns = free.last()[0].reshape(-1, 2)
     size_px = evidence.cameras[index].intrinsics.focal_px * float(np.std(turns, axis=0).max())
-    return (of, size_px) if instead < cost else None
+    return size_px if instead < cost else 0.0
 
 
 def _shows(fit: Fit, sigmas: float) -> bool:
