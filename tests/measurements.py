@@ -6,26 +6,10 @@ import numpy as np
 
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
-from measure.model import (
-    Ball,
-    BallColor,
-    BallPosition,
-    BallView,
-    Body,
-    Camera,
-    Detection,
-    Intrinsics,
-    Pose,
-)
+from measure.model import BallPosition, BallView, Camera, Detection, Intrinsics, Pose, paper_body
 from measure.model.observations import Reason, State
 
-BODY = Body(
-    "three",
-    tuple(
-        Ball(name, BallColor.named(name), center, 20.0)
-        for name, center in (("green", (38, 0, 0)), ("yellow", (0, 38, 0)), ("red", (-38, 0, 0)))
-    ),
-)
+BODY = paper_body()
 
 
 def _camera(name, azimuth):

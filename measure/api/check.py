@@ -18,7 +18,7 @@ from measure.api.synchronising import find_offsets, shift_clocks
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
 from measure.checking import (
-    ColorlessCount,
+    ColorCount,
     Coverage,
     DuplicateCount,
     ExposureCount,
@@ -302,7 +302,7 @@ class Looking:
         session = self.session
         searched, every = list[SearchSample](), list[Mapping[str, Sequence[Detection]]]()
         numbers = list[dict[str, int]]()
-        duplicates, colorless, overexposed = DuplicateCount(), ColorlessCount(), ExposureCount()
+        duplicates, colors, overexposed = DuplicateCount(), ColorCount(), ExposureCount()
         steps, woven, smeared = BallSteps(), WovenImages(), SmearedImages()
         detectors = build_detectors(self.profile, self.registry, session.body, session.cameras)
         for frame_set, (found,) in search_frame_sets(session, [detectors], self._chosen):
@@ -311,7 +311,7 @@ class Looking:
             seen = {name: own for name, own in found.items() if name not in old}
             searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
             duplicates.add(frame_set)
-            colorless.add(frame_set)
+            colors.add(frame_set)
             overexposed.add(frame_set, searched[-1].agreeing)
             stepped = steps.of(frame_set, searched[-1].agreeing, look=True)
             woven.add(stepped)
@@ -343,8 +343,10 @@ class Looking:
             diagnosis = self._diagnosed(searched, every, measured, shape)
             sized = size_causes(body, motion.sizes) if motion.sizes else []
             causes = _together(causes, diagnosis, [*shape.causes], searched, sized)
-        causes = with_weak(causes, [*self._stalls(duplicates), *overexposed.causes()])
-        pictures = colorless.findings()
+        causes = with_weak(
+            causes, [*self._stalls(duplicates), *overexposed.causes(), *colors.causes()]
+        )
+        pictures = colors.findings()
         evidence = diagnosis.evidence or evidence_of(searched, every, measured, body, cameras)
         return Look(
             self._total, searched, shape, motion, pictures, tuple(causes), diagnosis, measured,

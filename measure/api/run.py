@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from measure.api.measuring import measure_bodies, why_not_kept
 from measure.api.run_log import LogOptions, RunLog
-from measure.checking import ColorlessCount, Finding, Level
+from measure.checking import ColorCount, Finding, Level
 from measure.checking.pictures import stamp_causes
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
@@ -217,7 +217,7 @@ def noted(topic: str, texts: Iterable[str]) -> tuple[Finding, ...]:
 
 def _without_color(session: Session) -> list[Finding]:
     """One for each camera whose first pictures have no colour, though they have channels."""
-    count = ColorlessCount()
+    count = ColorCount()
     with suppress(MeasureError):
         for frame_set in islice(session.frame_sets(), _FIRST_FRAME_SETS):
             count.add(frame_set)

@@ -3,7 +3,7 @@
 from measure.checking.coverage import Coverage, coverage_findings, expected_accuracy
 from measure.checking.finding import Finding, Level, worst_first
 from measure.checking.pictures import (
-    ColorlessCount,
+    ColorCount,
     DuplicateCount,
     ExposureCount,
     damage_findings,
@@ -13,7 +13,7 @@ from measure.checking.pictures import (
 from measure.checking.search import SearchSample, search_sample, with_velocities
 
 __all__ = [
-    "ColorlessCount", "Coverage", "DuplicateCount", "ExposureCount", "Finding", "Level",
+    "ColorCount", "Coverage", "DuplicateCount", "ExposureCount", "Finding", "Level",
     "SearchSample", "coverage_findings", "damage_findings", "expected_accuracy", "repeated_causes",
     "search_sample", "stamp_findings", "with_velocities", "worst_first",
 ]  # fmt: skip

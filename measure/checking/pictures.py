@@ -16,7 +16,7 @@ from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.checking.causes import ALL, Cause, Word
 from measure.checking.finding import Finding, Level
 from measure.checking.search import SearchSample
-from measure.limits import CLEAR_RATIO, GAP_PERIODS, MOST_LISTED
+from measure.limits import CLEAR_RATIO, GAP_PERIODS
 from measure.measuring.image_faults import (
     SHARP_CAMERAS,
     DuplicateImages,
@@ -26,6 +26,7 @@ from measure.measuring.image_faults import (
 )
 from measure.model import Detection, FrameSet
 from measure.model.observations import FULL
+from measure.reading import listed
 from measure.session.timestamps import StampErrors
 
 _NOTE_SHARE, _WEAK_SHARE = 0.02, 0.5
@@ -286,9 +287,7 @@ def damage_findings(camera: str, frames: Sequence[int], count: int) -> list[Find
     """One line if images, of `count` examined, are damaged: `frames` are their numbers."""
     if not frames:
         return []
-    named = ", ".join(map(str, frames[:MOST_LISTED])) + (
-        ", ..." if len(frames) > MOST_LISTED else ""
-    )
+    named = listed([str(frame) for frame in frames])
     which = "frames" if len(frames) > 1 else "frame"
     text = (
         f"{camera}: {len(frames)} of {count} pictures are damaged ({which} {named}): a part is "
@@ -390,29 +389,58 @@ def told_causes(doubts: Sequence[str], count: int) -> list[Cause]:
     return woven_causes(woven_cameras(doubts), count) + smear_causes(smear_in(doubts), count)
 
 
-class ColorlessCount:
-    """Counts images without colour."""
+_MAX_TINT = 0.15
+"""Logarithm of how much blue or red may change against green: balls are searched with as much."""
+_DARKEST, _BRIGHTEST, _LEAST_SHARE = 10, 245, 0.1
+"""Levels between which colours are compared, if so large a part of the picture is."""
+
+
+class ColorCount:
+    """Counts images without colour, and follows the colours of what does not move."""
 
     def __init__(self) -> None:
         self._seen, self._colorless = Counter[str](), Counter[str]()
+        self._first, self._change = dict[str, Bytes](), dict[str, Floats]()
 
     def add(self, frame_set: FrameSet) -> None:
-        """Compare the channels of each camera's picture."""
+        """Compare the channels of each camera's picture, and with those of its first one."""
         for name, image in frame_set.images.items():
-            some = np.asarray(image.pixels)[::_PIXEL_STEP, ::_PIXEL_STEP].astype(np.int16)
-            grey = bool(np.ptp(some, axis=2).max() <= _MAX_CHANNEL_DIFFERENCE)
+            some = np.asarray(image.pixels)[::_PIXEL_STEP, ::_PIXEL_STEP]
             self._seen[name] += 1
-            self._colorless[name] += grey
+            self._colorless[name] += bool(np.ptp(some, axis=2).max() <= _MAX_CHANNEL_DIFFERENCE)
+            both = np.stack([self._first.setdefault(name, some), some])
+            clear = np.all((both > _DARKEST) & (both < _BRIGHTEST), axis=(0, 3))
+            if clear.mean() > _LEAST_SHARE:
+                first, now = np.log(both[:, clear])
+                change = np.median(now - first, axis=0)  # What moves covers less than half of it
+                both_changes = self._change.get(name, 0 * change), change - change[1]
+                self._change[name] = max(both_changes, key=_largest)
 
     def findings(self) -> list[Finding]:
         """One line for each camera whose pictures have no colour."""
+        text = (
+            "{}: {} of {} pictures are grey: colours identify balls, so this camera sees none; "
+            "record in colour"
+        ).format
+        grey = {name: count for name, count in self._colorless.items() if count}
         return [
-            Finding(
-                Level.WRONG,
-                "colour",
-                f"{name}: {grey} of {self._seen[name]} pictures are grey: colours identify balls, "
-                "so this camera sees none; record in colour",
-            )
-            for name, grey in self._colorless.items()
-            if grey
+            Finding(Level.WRONG, "colour", text(name, count, self._seen[name]))
+            for name, count in grey.items()
         ]
+
+    def causes(self) -> list[Cause]:
+        """The cameras whose colours drift, with the largest change."""
+        drifting = {
+            n: one for n, one in self._change.items() if _largest(one) > np.log1p(_MAX_TINT)
+        }
+        if not drifting:
+            return []
+        blue, _, red = 100 * np.expm1(max(drifting.values(), key=_largest))
+        names = ", ".join(drifting)
+        text = f"{names}: colours drift: against green, blue by {blue:+.0f} %, red by {red:+.0f} %"
+        cure = "lock the white balance; or does the light change, as at dusk or of a cold lamp?"
+        return [Cause(Word.EXPOSURE, names, text, cure, Level.WEAK)]
+
+
+def _largest(change: Floats) -> float:
+    return float(np.abs(change).max())

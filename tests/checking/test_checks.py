@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from measure.checking import (
-    ColorlessCount,
+    ColorCount,
     ExposureCount,
     Finding,
     Level,
@@ -174,7 +175,7 @@ def _frame_set(pictures):
 
 
 def test_grey_pictures_are_told_by_camera():
-    rng, count = np.random.default_rng(0), ColorlessCount()
+    rng, count = np.random.default_rng(0), ColorCount()
     grey = rng.integers(0, 256, (240, 320), np.uint8)
     through_jpeg = cv2.imdecode(cv2.imencode(".jpg", grey)[1], cv2.IMREAD_COLOR)
     noisy = np.repeat(grey[..., None] // 2, 3, axis=2) + rng.integers(0, 9, (240, 320, 3), np.uint8)
@@ -183,6 +184,22 @@ def test_grey_pictures_are_told_by_camera():
     (finding,) = count.findings()
     assert finding.level is Level.WRONG
     assert "cam1: 2 of 2 pictures are grey" in finding.text
+
+
+@pytest.mark.parametrize(("gains", "drifts"), [((0.7, 1, 1.4), True), ((1.3, 1.3, 1.3), False)])
+def test_colors_that_drift_are_named_and_brightness_is_not(rng, gains, drifts):
+    """A ball that moves, and grain, change nothing of it."""
+    count, still = ColorCount(), rng.integers(30, 150, (240, 320, 3))
+    for k in range(5):
+        picture = still * np.array(gains) ** (k / 4) + rng.normal(0, 4, still.shape)
+        cv2.circle(picture, (60 + 50 * k, 120), 40, (20, 20, 220), -1)
+        count.add(_frame_set({"cam0": picture.astype(np.uint8)}))
+    causes = count.causes()
+    assert [(cause.cause, cause.of) for cause in causes] == [("exposure", "cam0")] * drifts
+    for cause in causes:
+        assert [*map(int, re.findall(r"by (.\d+) %", cause.text))] == pytest.approx(
+            [-30, 40], abs=2
+        )
 
 
 def _ball(camera, center, radius):
