@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import repeat
@@ -10,25 +9,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from measure.errors import SessionError
-from measure.session.pictures import JPEG_END, JPEG_SCAN
+from measure.session.pictures import JPEG_END, JPEG_SCAN, jpeg_segments
 
 if TYPE_CHECKING:
     from measure.session.streams import Stream
-
-_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xdc\xff]", re.DOTALL)
-"""Within a scan only a restart or the number of lines may stand (ITU-T T.81, B.1.1)."""
-
 
 _HOLE = bytes(64)  # To which blank parts of a picture may be coded, too
 
 
 def is_torn(jpeg: bytes) -> bool:
     """What of `is_damaged` shows without decoding, mostly: no end, a stray marker, a hole."""
-    scan = jpeg.rfind(JPEG_SCAN)
-    end = _MARKER.search(jpeg, scan + 2)
-    if end is None or end.group() != JPEG_END:
+    segments = [*jpeg_segments(jpeg)]
+    if not segments or segments[-1][0] != JPEG_END[1]:
         return True
-    return jpeg.find(_HOLE, scan, end.start()) >= 0 and _is_undecodable(jpeg)
+    scan = next((at for kind, at in segments if kind == JPEG_SCAN[1]), 0)
+    return jpeg.find(_HOLE, scan, segments[-1][1]) >= 0 and _is_undecodable(jpeg)
 
 
 def is_damaged(jpeg: bytes) -> bool:

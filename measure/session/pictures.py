@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import zlib
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,7 +36,9 @@ _DEFAULT_MEGAPIXELS = 100.0
 _MAX_BYTES = 1 << 30
 _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers after which a JPEG states its size."""
-_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})  # Markers that nothing belongs to
+_SEGMENT = re.compile(rb"\xff+([\xc0-\xcf\xd9-\xfe])")  # All markers but those that stand alone
+_AFTER_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xdc\xff]", re.DOTALL)
+"""Within a scan only a restart or the number of lines may stand (ITU-T T.81, B.1.1)."""
 _READERS = (
     (JPEG_START, JpegImageFile),
     (_PNG_START[:4], PngImageFile),
@@ -134,25 +138,31 @@ def _header(data: bytes) -> ImageFile | None:
         return None
 
 
+def jpeg_segments(data: bytes | bytearray) -> Iterator[tuple[int, int]]:
+    """Kind, and place behind its marker, of each segment of a JPEG up to its end, or to a fault.
+
+    Thumbnails within it, and what phones write behind it, have markers of their own.
+    """
+    at, find = 2, _SEGMENT.search  # Decoders pass over what stands between the first segments
+    while segment := find(data, at):
+        kind, at = segment[1][0], segment.end()
+        yield kind, at
+        if kind == JPEG_END[1]:
+            return
+        at += int.from_bytes(data[at : at + 2], "big")
+        if kind == JPEG_SCAN[1]:
+            marker, find = _AFTER_SCAN.search(data, at), _SEGMENT.match
+            at = marker.start() if marker else len(data)
+
+
 def jpeg_size_wh(data: bytes) -> tuple[int, int] | None:
     """Width and height in px that the frame header of a JPEG states; None if there is none."""
-    at = 2
-    while at + 9 <= len(data):
-        if data[at] != 0xFF:  # decoders pass over what stands between segments
-            at = data.find(b"\xff", at)
-            if at < 0:
-                break
-            continue
-        kind = data[at + 1]
-        if kind in _FRAME_HEADERS:
-            height, width = data[at + 5 : at + 7], data[at + 7 : at + 9]
+    for kind, at in jpeg_segments(data):
+        if kind in _FRAME_HEADERS and len(data) >= at + 7:
+            height, width = data[at + 3 : at + 5], data[at + 5 : at + 7]
             return int.from_bytes(width, "big"), int.from_bytes(height, "big")
         if kind == JPEG_SCAN[1]:
             break
-        if kind in (0x00, 0xFF):  # a marker may be filled up with 0xFF
-            at += 1
-        else:
-            at += 2 if kind in _ALONE else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
     return None
 
 
@@ -160,7 +170,7 @@ def is_complete_jpeg(data: bytes | bytearray) -> bool:
     """Whether it is a JPEG that has an end; most have it at the very end, quicker to see."""
     if not data.startswith(JPEG_START):
         return False
-    return data.endswith(JPEG_END) or data.rfind(JPEG_END) > data.rfind(JPEG_SCAN)
+    return data.endswith(JPEG_END) or any(kind == JPEG_END[1] for kind, _ in jpeg_segments(data))
 
 
 def decode_picture(data: bytes, where: str, bits: int | None = None) -> Bytes:
@@ -211,7 +221,8 @@ _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # By the colour type of PNG
 def _refuse_endless(data: bytes, size_wh: tuple[int, int], where: str) -> None:
     """Refuse (SessionError) a picture whose data hold far more than its header says, undecoded."""
     if data.startswith(JPEG_START):
-        is_endless = data.count(JPEG_SCAN) > _MOST_SCANS
+        scans = (kind for kind, _ in jpeg_segments(data) if kind == JPEG_SCAN[1])
+        is_endless = data.count(JPEG_SCAN) > _MOST_SCANS and len([*scans]) > _MOST_SCANS
     else:
         is_endless = data.startswith(_PNG_START) and _unpacks_further(data, size_wh)
     if is_endless:

@@ -13,6 +13,7 @@ from measure.session.damage import is_damaged
 
 ROUGH = cv2.blur(np.random.default_rng(5).integers(0, 255, (480, 640, 3), np.uint8), (5, 5))
 
+RANDOM = np.random.default_rng(6).bytes(4096)
 BALLS = cv2.GaussianBlur(ROUGH, (0, 0), 2)
 """As smooth as pictures are."""
 
@@ -34,13 +35,18 @@ def jpeg(kind: str, pixels=ROUGH) -> bytes:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_healthy_pictures_are_not_accused(kind: str) -> None:
+    small = jpeg("plain", ROUGH[:90, :120])
     for pixels in (ROUGH, ROUGH[..., 0], ROUGH[:471, :633], ROUGH[:8, :8]):
         data = jpeg(kind, pixels)
         assert not is_damaged(data)
         assert not is_damaged(data + b"a maker's note"), "some cameras write on after the end"
+        film = data + RANDOM + b"\xff\xda\x00" + RANDOM
+        assert not is_damaged(film), "phones a film"
+        assert decode_picture(film, "").shape[:2] == pixels.shape[:2]
+        thumbnail = b"\xff\xe1" + (2 + len(small)).to_bytes(2, "big") + small
+        assert not is_damaged(data[:2] + thumbnail + data[2:])
 
 
-RANDOM = np.random.default_rng(6).bytes(4096)
 DAMAGES = {
     "zeros": lambda data, at: data[:at] + bytes(4096) + data[at + 4096 :],
     "ones": lambda data, at: data[:at] + b"\xff" * 4096 + data[at + 4096 :],

@@ -12,7 +12,7 @@ from measure.errors import CaptureError
 from measure_studio.capture.mjpeg import HttpSource, parts_of
 from tests.camera_server import ServedCamera, serving
 
-ONE = b"\xff\xd8 one \r\n\n more lines, \xff\xda and a thumbnail's end \xff\xd9 \xff\xd9"
+ONE = b"\xff\xd8 one \r\n\n more lines, \xff\xda\0\2 and a thumbnail's end \xff\xd9 \xff\xd9"
 TWO = b"\xff\xd8\xff\xda two\n--not-the-boundary\r\n\xff\xd9"
 
 
