@@ -28,7 +28,7 @@ from tests.calibration.refining import cases
 from tests.calibration.rigs import rig
 from tests.checking import test_causes as faults
 from tests.measuring.tracking import test_pose_checks as tracked
-from tests.scenes import RAVEN, TARGET, ring
+from tests.scenes import RAVEN, TARGET, displaced, ring
 from tests.tracking_rig import run
 
 Outcome = list[str | float]
@@ -98,7 +98,7 @@ def checking() -> Outcome:
     out, turn = list[str | float](), faults.turned("cam1", np.array([0, np.radians(0.3), 0]))
     moved = {"real": lambda k: turn if k > 11 else faults.CAMERAS}
     late = {"late": lambda k: np.array([0, 0.1, 0, 0]) * (k > 11)}
-    bent = tracked.displaced(RAVEN, "green", (1, 0, 0))
+    bent = displaced(RAVEN, "green", (1, 0, 0))
     for fault in ({}, moved, {"stated": faults.zoomed(1.01, "cam2")}, {"body": bent}, late):
         found = faults.diagnosed(**fault)
         out += [found.misfit, found.left]

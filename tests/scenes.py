@@ -55,6 +55,11 @@ def ring(count=4, distance=450.0, elevation_deg=25.0, pose_covariance=None, foca
     return {camera.name: camera for camera in cameras}
 
 
+def displaced(body, ball, offset_mm):
+    """The same body with one ball elsewhere."""
+    return body.with_centers(body.centers + np.outer(np.array(body.names) == ball, offset_mm))
+
+
 def moved(camera, pose):
     """The same camera standing elsewhere."""
     return Camera(camera.name, camera.intrinsics, pose, camera.pose_covariance)

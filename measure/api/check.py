@@ -127,7 +127,9 @@ def _concluded(session: Session, look: Look, findings: list[Finding]) -> Session
         reported = (*(cause.finding for cause in causes), *worst_first(findings))
         return SessionCheck(session.name, look.frame_sets, len(searched), reported, causes=causes)
     true_colors = not any(cause.cause is Word.EXPOSURE for cause in causes)
-    coverage, weak = coverage_findings(searched, session.body, session.cameras, true_colors)
+    coverage, weak = coverage_findings(
+        searched, session.body, session.cameras, look.shape.distances, true_colors
+    )
     findings += [*twin_findings(session.body), *weak, *flag_findings(motion)]
     return SessionCheck(
         session.name,

@@ -237,7 +237,9 @@ def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:
     return tuple(out)
 
 
-_MIN_FRAMES = 3
+_MIN_FRAMES, _MIN_SHARE = 3, 0.25
+"""Frames, and their share of those that show any ball, that a length is known from: of a hidden
+ball's colour something else may be found now and then."""
 _RANGE_RATIO = 2.5
 _EDGE_BIAS_PX = 0.8
 """Systematic error of a ball's radius: glossy paint loses its colour inside the true outline."""
@@ -298,13 +300,16 @@ def locate_balls(
 def check_body(located: Iterable[LocatedBalls], body: Body) -> BodyCheck:
     """Compare the balls located in all frames with the body file."""
     frames = list(located)
+    least = max(_MIN_FRAMES, round(_MIN_SHARE * sum(bool(frame.centers) for frame in frames)))
     distances = tuple(
         compared
         for a, b in combinations(body.names, 2)
-        if (compared := _distance(frames, body, a, b)) is not None
+        if (compared := _distance(frames, body, a, b, least)) is not None
     )
     radii = tuple(
-        compared for name in body.names if (compared := _radius(frames, body, name)) is not None
+        compared
+        for name in body.names
+        if (compared := _radius(frames, body, name, least)) is not None
     )
     known = {name for compared in distances for name in compared.what}
     causes = [*layout_causes(distances, body), *radius_causes(radii)]
@@ -334,9 +339,11 @@ def outline_sizes(
     return out
 
 
-def _distance(frames: Sequence[LocatedBalls], body: Body, a: str, b: str) -> Compared | None:
+def _distance(
+    frames: Sequence[LocatedBalls], body: Body, a: str, b: str, least: int
+) -> Compared | None:
     both = [f for f in frames if a in f.centers and b in f.centers]
-    if len(both) < _MIN_FRAMES:
+    if len(both) < least:
         return None
     lengths = np.array([np.linalg.norm(f.centers[a] - f.centers[b]) for f in both])
     stated = np.sqrt(np.median([f.variances[a] + f.variances[b] for f in both]))
@@ -346,9 +353,9 @@ def _distance(frames: Sequence[LocatedBalls], body: Body, a: str, b: str) -> Com
     return Compared((a, b), median, sd, file_mm, len(both))
 
 
-def _radius(frames: Sequence[LocatedBalls], body: Body, name: str) -> Compared | None:
+def _radius(frames: Sequence[LocatedBalls], body: Body, name: str, least: int) -> Compared | None:
     seen = [f.radii[name] for f in frames if name in f.radii]
-    if len(seen) < _MIN_FRAMES:
+    if len(seen) < least:
         return None
     values = np.array([radius for radius, _ in seen])
     common = float(np.median([sd for _, sd in seen]))

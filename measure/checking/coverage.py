@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
+from measure.checking.body import Compared
 from measure.checking.causes import Cause, Word
 from measure.checking.finding import Finding, Level
 from measure.checking.search import SearchSample
@@ -33,11 +34,16 @@ class Coverage:
 
 
 def coverage_findings(
-    samples: Sequence[SearchSample], body: Body, cameras: Sequence[Camera], true_colors: bool = True
+    samples: Sequence[SearchSample],
+    body: Body,
+    cameras: Sequence[Camera],
+    distances: Sequence[Compared] = (),
+    true_colors: bool = True,
 ) -> tuple[tuple[Coverage, ...], list[Finding]]:
     """The coverage of every camera and ball, and what is weak about it.
 
     Args:
+        distances: between balls. Where one fits in most frame sets, calibration and body are right.
         true_colors: whether what has a ball's colour looks like a ball: not if overexposed.
     """
     with_pose = [s for s in samples if s.world_from_body is not None]
@@ -47,11 +53,12 @@ def coverage_findings(
     if lost:
         reasons = [s.reason for s in samples if s.world_from_body is None]
         common = max(set(reasons), key=reasons.count)
-        by_chance = len(with_pose) <= _MAX_CHANCE_SHARE * len(samples)
+        fits = any(d.agrees and d.frames > len(samples) / 2 for d in distances)
+        by_chance = len(with_pose) <= _MAX_CHANCE_SHARE * len(samples) and not fits
         why = (
             "check the calibration, and the radii in the body file"
             if by_chance
-            else "as the cameras agree in the others, balls are hidden there, or out of view"
+            else "as cameras and body agree elsewhere, balls are hidden there, or out of view"
         )
         text = f"no pose in {lost} of {len(samples)} frame sets looked at, mostly: {common}; {why}"
         findings.append(Finding(Level.WRONG if by_chance else Level.WEAK, "balls", text))

@@ -21,6 +21,7 @@ from measure.results import read_run
 from measure.session import open_session, read_trajectory, write_body, write_calibration
 from measure.session.calibration_file import Calibration
 from measure.simulation.scene import Scene
+from tests.scenes import displaced
 from tests.simulated import sessions
 from tests.simulated.catalogue import scene_catalogue
 from tests.simulated.degraded import (
@@ -171,12 +172,8 @@ def test_a_wrong_body_file_is_never_a_confident_pose(scene, rendered, change, tm
 def test_a_misplaced_ball_gives_no_confident_pose(four, tmp_path):
     with open_session(four) as session:
         body = session.body
-    balls = tuple(
-        replace(b, center_mm=b.center_mm + np.array([0, 3, 3])) if b.name == "blue" else b
-        for b in body.balls
-    )
     shutil.copytree(four, tmp_path / "s")
-    write_body(tmp_path / "s" / "body.toml", Body("loosened", balls))
+    write_body(tmp_path / "s" / "body.toml", displaced(body, "blue", [0, 3, 3]))
     assert all(m.status is not Status.OK for m in measured(tmp_path / "s"))
 
 

@@ -18,6 +18,7 @@ from measure.checking import (
     stamp_findings,
     with_velocities,
 )
+from measure.checking.body import Compared
 from measure.checking.causes import Cause, Word
 from measure.checking.pictures import burst_causes, rate_causes, step_causes, without_step
 from measure.errors import DegenerateGeometryError
@@ -113,10 +114,12 @@ def test_a_body_that_is_found_now_and_then_is_hidden_in_between(found, level):
     assert ("check the calibration" in finding.text) == (level is Level.WRONG)
 
 
-def test_nothing_found_is_wrong():
+@pytest.mark.parametrize(("off_mm", "level"), [(0.0, Level.WEAK), (9.0, Level.WRONG)])
+def test_nothing_found_is_wrong_unless_two_balls_are_as_far_apart_as_they_should(off_mm, level):
     nothing = search_sample({}, RAVEN, RIG, 0.0)
-    _, (finding,) = coverage_findings([nothing] * 3, RAVEN, RIG)
-    assert finding.level is Level.WRONG
+    distances = [Compared(RAVEN.names[:2], 53.7 + off_mm, 0.1, 53.7, 3)]
+    _, (finding,) = coverage_findings([nothing] * 3, RAVEN, RIG, distances)
+    assert finding.level is level
     assert "no pose in 3 of 3 frame sets" in finding.text
     assert "no ball in view" in finding.text
 

@@ -24,11 +24,7 @@ def _scaled(rig: tuple[Camera, ...], scale: float) -> Calibration:
 
 def _body(scale: float) -> Body:
     body = paper_body()
-    balls = (
-        replace(ball, center_mm=scale * ball.center_mm, radius_mm=scale * ball.radius_mm)
-        for ball in body.balls
-    )
-    return Body("scaled", tuple(balls))
+    return body.with_centers(scale * body.centers).with_radii(scale * body.radii, np.zeros((3, 3)))
 
 
 def _stereo(base_mm: float) -> tuple[Camera, ...]:

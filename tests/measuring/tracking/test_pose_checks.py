@@ -11,10 +11,10 @@ from measure.geometry import RigidTransform
 from measure.measuring import Status
 from measure.measuring.tracking.pose_checks import PoseChecks, ResidualTable, single_view_balls
 from measure.measuring.tracking.settings import PredictiveConfig
-from measure.model import BallView, Body, Detection, Pose
+from measure.model import BallView, Detection, Pose
 from measure.model.observations import Reason, State
 from tests.measurements import BODY, CAMERAS, measurement
-from tests.scenes import FOUR, RAVEN, TARGET, moved, ring
+from tests.scenes import FOUR, RAVEN, TARGET, displaced, moved, ring
 from tests.tracking_rig import run
 
 EDGES_PX = 0.3
@@ -40,14 +40,6 @@ def turned(cameras, name, degrees):
     pose = cameras[name].world_from_camera
     turn = [0, 0, 0, *pose.rotate(np.array([0, np.radians(degrees), 0]))]
     return {**cameras, name: moved(cameras[name], pose.perturb(turn))}
-
-
-def displaced(body, ball, offset_mm):
-    balls = [
-        replace(b, center_mm=b.center_mm + np.array(offset_mm)) if b.name == ball else b
-        for b in body.balls
-    ]
-    return Body(body.name, tuple(balls))
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])
@@ -81,8 +73,7 @@ def test_balls_far_from_the_body_origin_are_tracked():
     """A tool's origin may lie behind a camera, where nothing has an image."""
     cameras = ring(4, pose_covariance=np.diag([0.1**2] * 3 + [0.0002**2] * 3))
     far = cameras["cam0"].center * 1.5 - TARGET
-    balls = [replace(b, center_mm=b.center_mm - far) for b in RAVEN.balls]
-    tool = Body("tool", tuple(balls))
+    tool = RAVEN.with_centers(RAVEN.centers - far)
     world = lambda t: [(tool, RigidTransform(np.eye(3), TARGET + far + [20 * t, 0, 0]))]
     found = run(tool, world, cameras, 20, bias=edges)[0]
     assert [m.status for m in found] == [Status.OK] * len(found)
