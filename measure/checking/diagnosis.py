@@ -146,7 +146,7 @@ def diagnose_recording(
                 return tracked
     # What is followed lies near where it was expected: whole pictures tell more, if they agree.
     whole = diagnose(evidence_of(*searched, (), body, cameras, gaps_s), squares)
-    if whole.causes and (not followed.wrong or (whole.wrong and whole.share >= followed.share)):
+    if whole.causes and (whole.wrong, whole.share) >= (followed.wrong, followed.share):
         return whole
     # What no camera alone contradicts, and all do not in whole pictures, is not unknown.
     known = tuple(c for c in followed.causes if (c.cause, c.of) != (Word.UNKNOWN, ALL))
