@@ -430,9 +430,7 @@ class ColorCount:
 
     def causes(self) -> list[Cause]:
         """The cameras whose colours drift, with the largest change."""
-        drifting = {
-            n: one for n, one in self._change.items() if _largest(one) > np.log1p(_MAX_TINT)
-        }
+        drifting = {n: one for n, one in self._change.items() if _largest(one) > _MAX_TINT}
         if not drifting:
             return []
         blue, _, red = 100 * np.expm1(max(drifting.values(), key=_largest))
