@@ -327,7 +327,7 @@ def _pose(measured: Measurement) -> Pose:
         Rotation.from_rotvec(np.full(3, np.nan) if place is None else place.rotvec),
         np.full((6, 6), np.nan) if pose is None else pose.covariance,
         measured.status,
-        "; ".join(dict.fromkeys(filter(None, (measured.reason, *(pose.flags if pose else ()))))),
+        measured.doubts,
     )
 
 

@@ -355,9 +355,7 @@ class RunRecording:
         self._sent_at = time.monotonic()
 
     def _log_status(self, measured: Measurement, entity: str) -> None:
-        text = ": ".join(part for part in (measured.status.value, measured.reason) if part)
-        if measured.pose is not None and measured.pose.flags:
-            text += f" ({'; '.join(measured.pose.flags)})"
+        text = ": ".join(filter(None, (measured.status.value, measured.doubts)))
         if text != self._status.get(entity):
             self._set_time(measured)
             self._stream.log(entity, rr.TextLog(text, level=_LEVELS[measured.status]))

@@ -15,6 +15,7 @@ from measure.arrays import Floats, Ints
 from measure.errors import EstimatorError
 from measure.geometry import chi_square_quantile
 from measure.host import Dataset
+from measure.limits import TINY
 from measure.robots import StateSchema
 from measure_learning.core.correction import read_states, rezero
 from measure_learning.core.offsets import (
@@ -36,6 +37,7 @@ _HELD = 0.9  # share of a recording's labels in the 95 % region, from which its 
 _LEAST_SHARE = 0.1  # of the stated variance, as `without_restarts`
 _ALIKE = 1e-3  # share of the range of a coordinate within which poses are at one place
 _PARTS = "below", "above"
+_OWN_SHARE = 1.01  # of what a pose is measured with, with a hundredth of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +80,9 @@ def choose_poses(model: OnnxModel, path: Path, count: int) -> ChosenPoses:
     """The poses of a file whose measurement leaves least of what a day adds, over all of them.
 
     One after the other, each is the one that lowers most the mean variance that the errors of
-    links, zeros and base have at the tip (I-optimal design, Fedorov 1972), a pose being measured
-    with what the model leaves within a recording.
+    links, zeros and base have at the tip (I-optimal design, Fedorov 1972). A pose is measured with
+    what the model leaves within a recording, which is alike where joints differ by less than they
+    vary in training: neighbours tell little more than one of them.
     """
     if count < FEWEST:
         raise EstimatorError(f"{count} poses tell too little of a day: choose {FEWEST} or more")
@@ -88,26 +91,41 @@ def choose_poses(model: OnnxModel, path: Path, count: int) -> ChosenPoses:
         raise EstimatorError(f"{path}: has {len(states)} poses to choose {count} from")
     size_mm = model.facts.get("offset_sd_mm", OFFSET_SD_MM)
     design, _ = offset_design(model.schema, states, size_mm)
-    chosen, before, after = _greedy(design, _left_sd_mm(model), count)
+    joints = model.schema.read(states, model.schema.joints or model.schema.position)
+    joints /= np.maximum(model.facts.get("joint_sd") or np.ptp(joints, axis=0), TINY)
+    chosen, before, after = _greedy(design, joints, _left_sd_mm(model), count)
     chosen.sort()
     return ChosenPoses(numbers[chosen], states[chosen], len(states), before, after)
 
 
-def _greedy(design: Floats, noise_mm: float, count: int) -> tuple[Ints, float, float]:
-    """Rows of a design (n, 3, p) of unknowns of SD 1; what they leave of its RMS, before, after."""
-    P, chosen = np.eye(design.shape[2]), list[int]()
+def _greedy(
+    design: Floats, joints: Floats, left_mm: float, count: int
+) -> tuple[Ints, float, float]:
+    """Rows of a design (n, 3, p) of unknowns of SD 1; what they leave of its RMS, before, after.
+
+    What else is measured at two rows, of SD `left_mm`, correlates by `joints` (n, k), as a Gaussian
+    process. All is conditioned on each choice, as in a pivoted Cholesky decomposition.
+    """
+    eye, chosen = np.eye(3), list[int]()
     moment = np.einsum("nij,nik->jk", design, design) / len(design)
+    before = after = float(np.trace(moment))
+    across, own = design, design @ np.swapaxes(design, 1, 2) + _OWN_SHARE * left_mm**2 * eye
+    shared = list[tuple[Floats, Floats]]()  # covariance (n, 3, 3) with a choice, its inverse (3, 3)
     for _ in range(count):
-        across = design @ P
-        stated = across @ np.swapaxes(design, 1, 2) + noise_mm**2 * np.eye(3)
-        gained = np.linalg.solve(stated, across)
+        gained = np.linalg.solve(own, across)
         worth = np.einsum("nij,nij->n", gained, across @ moment)
         worth[chosen] = -np.inf
         best = int(np.argmax(worth))
+        alike = left_mm**2 * np.exp(-0.5 * np.sum((joints - joints[best]) ** 2, axis=1))
+        with_it = design @ design[best].T + alike[:, None, None] * eye
+        with_it -= sum(one @ inverse @ one[best].T for one, inverse in shared)
+        inverse = np.linalg.inv(own[best])
+        after -= worth[best]
+        across = across - with_it @ (inverse @ across[best])
+        own = own - with_it @ inverse @ np.swapaxes(with_it, 1, 2)
+        shared.append((with_it, inverse))
         chosen.append(best)
-        P = P - across[best].T @ gained[best]
-    before, after = (float(np.sqrt(np.trace(moment @ C))) for C in (np.eye(len(P)), P))
-    return np.array(chosen), before, after
+    return np.array(chosen), float(np.sqrt(before)), float(np.sqrt(after))
 
 
 def _left_sd_mm(model: OnnxModel) -> float:
@@ -188,9 +206,7 @@ def corrected_model(found: Recalibration, content: bytes) -> bytes:
 def certificate(found: Recalibration, poses: Floats) -> dict[str, Any]:
     """What holds today, as plain values: offsets, errors by region of `poses`, past recordings."""
     model, left_out = found.model, found.model.card.get("left_out") or {}
-    turns = [
-        turn | {"held": turn["inside_95"] >= _HELD} for turn in left_out.get("by_recording", ())
-    ]
+    turns = [t | {"held": t["inside_95"] >= _HELD} for t in left_out.get("by_recording", ())]
     limit = chi_square_quantile(0.95, 3)
     return {
         "robot": model.robot,
@@ -217,9 +233,8 @@ def _offsets(found: Recalibration) -> dict[str, Any]:
     if (chain := schema.chain) is not None:
         scale[np.resize(TURNS, len(sd))] = np.degrees(1.0)
         names = link_names(chain)
-        for joint, reading, *pair in zip(
-            chain.joints, schema.joints, *zeroing.joints(), strict=True
-        ):
+        rows = zip(chain.joints, schema.joints, *zeroing.joints(), strict=True)
+        for joint, reading, *pair in rows:
             value, error = np.array(pair) * (1.0 if joint.prismatic else np.degrees(1.0))
             named = {"joint": reading.terms[0][0], "zero": float(value), "sd": float(error)}
             zeros.append(named | {"unit": "mm" if joint.prismatic else "deg"})

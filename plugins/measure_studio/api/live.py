@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -265,12 +265,8 @@ def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> Non
 
 def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:
     """The same, saying which cameras are away; a pose without them is as good as it states."""
-    missing = [
-        f"{name} is away" for name in away if name not in {*measured.frames, *measured.copies}
-    ]
-    if not missing:
-        return measured
-    return replace(measured, reason="; ".join(filter(None, (measured.reason, *missing))))
+    known = {*measured.frames, *measured.copies}
+    return measured.noted("; ".join(f"{name} is away" for name in away if name not in known))
 
 
 def _sent_poses(run: SentRun, measured: Sequence[Measurement], known_s: float) -> list[SentPose]:
