@@ -411,7 +411,7 @@ class ColorCount:
             both = np.stack([self._first.setdefault(name, some), some])
             clear = np.all((both > _DARKEST) & (both < _BRIGHTEST), axis=(0, 3))
             if clear.mean() > _LEAST_SHARE:
-                first, now = np.log(both[:, clear])
+                first, now = np.log(both[:, clear], dtype=np.float32)
                 change = np.median(now - first, axis=0)  # What moves covers less than half of it
                 both_changes = self._change.get(name, 0 * change), change - change[1]
                 self._change[name] = max(both_changes, key=_largest)
