@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from measure.geometry import RigidTransform
-from measure.model import Body, Camera
+from measure.model import Camera
 from measure.simulation.scene import Actor, ContinuousTrajectory, Scene, ball_shapes
 
 
@@ -42,11 +42,9 @@ def swapped_calibrations(scene: Scene, first: str, second: str) -> Scene:
 
 def misstated_body(scene: Scene, centers_mm: dict[str, tuple[float, float, float]]) -> Scene:
     """The body file claims other places for some balls (wrong size, swapped or mirrored)."""
-    balls = tuple(
-        replace(ball, center_mm=np.array(centers_mm.get(ball.name, ball.center_mm)))
-        for ball in scene.body.balls
-    )
-    return replace(scene, name=f"{scene.name}-wrong-body", stated_body=Body(scene.body.name, balls))
+    places = np.array([centers_mm.get(ball.name, ball.center_mm) for ball in scene.body.balls])
+    stated = scene.body.with_centers(places)
+    return replace(scene, name=f"{scene.name}-wrong-body", stated_body=stated)
 
 
 def _displaced(scene: Scene, name: str, delta_camera: np.ndarray, what: str) -> Scene:

@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from statistics import median
+from statistics import median_high, median_low
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -145,8 +145,8 @@ class ContoursConfig(Settings):
     )
     max_growth_px: float = setting(
         0.4,
-        "A pose whose outlines lie further outside or inside than the balls' radii put them, all "
-        "cameras alike, is flagged.",
+        "A pose whose outlines lie further outside or inside than the balls' radii put them, in "
+        "more than half of the cameras, is flagged.",
         unit="px",
         gt=0,
     )
@@ -269,10 +269,8 @@ class ContoursSolver(PoseSolver):
             return prior.at(time_s)
         located = {position.ball: position.center for position in positions}
         for i, name in enumerate(outlines.named.balls):
-            if name not in located:
-                center = outlines.center_by_size(i)
-                if center is not None:
-                    located[name] = center
+            if name not in located and (center := outlines.center_by_size(i)) is not None:
+                located[name] = center
         if len(located) < 3:
             return None
         source = self.body.centers_of(list(located))
@@ -309,12 +307,14 @@ class ContoursSolver(PoseSolver):
 
     def _flags(self, fit: JointFit, outlines: NamedOutlines, view_noise: Floats) -> tuple[str, ...]:
         flags = list(self._off_the_fit(fit, outlines, view_noise))
-        balls = len(outlines.named.shown)
+        balls, offsets = len(outlines.named.shown), fit.found.offsets_px.tolist()
+        # What more than half of the views agree on: of two, the one that is less off.
+        growth = max(median_low(offsets), 0.0) + min(median_high(offsets), 0.0)
         if balls < 3:
             flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
         if len(outlines.named.seen_by) < 2:
             flags.append("only one camera: depth is from the balls' sizes")
-        elif abs(growth := median(fit.found.offsets_px.tolist())) > self.config.max_growth_px:
+        elif abs(growth) > self.config.max_growth_px:
             flags.append(
                 f"outlines lie {abs(growth):.1f} px {'outside' if growth > 0 else 'inside'} where "
                 "the radii in the body file put them"

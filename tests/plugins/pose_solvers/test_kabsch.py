@@ -9,7 +9,7 @@ from measure.geometry import RigidTransform, squared_mahalanobis
 from measure.model import Body, Motion
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
 from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator
-from tests.scenes import FOUR, RAVEN, a_pose, of_ball, ring, see, strayed
+from tests.scenes import FOUR, RAVEN, a_pose, displaced, of_ball, ring, see, strayed
 
 TRIANGULATOR = ReprojectionTriangulator(ReprojectionConfig())
 POSE_COVARIANCE = np.diag([0.3, 0.3, 0.3, 5e-4, 5e-4, 5e-4]) ** 2
@@ -71,12 +71,9 @@ def test_one_bad_ball_of_four_is_outvoted_and_flagged():
     truth = a_pose(np.random.default_rng(6))
     rng = np.random.default_rng(7)
     seen = see(cameras, FOUR, truth, 0.1, rng)
-    wrong = replace(FOUR.balls[0], center_mm=FOUR.balls[0].center_mm + np.array([3.0, 0, 0]))
-    file = Body("wrong file", (wrong, *FOUR.balls[1:]))
-    pose = solve(file, seen, cameras)
+    pose = solve(displaced(FOUR, FOUR.names[0], [3.0, 0, 0]), seen, cameras)
     assert any("white" in flag and "mm apart" in flag for flag in pose.flags)
-    everywhere = [flag for flag in pose.flags if "white" not in flag]
-    assert everywhere == []
+    assert all("white" in flag for flag in pose.flags)
     error = pose.world_from_body.difference(truth)
     assert squared_mahalanobis(error, pose.covariance) < 16
 
