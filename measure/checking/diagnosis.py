@@ -77,7 +77,8 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
     found, misfit, fit = explain(evidence)
     reported = _without_consequences([one for one in found if _matters(evidence, one)])
     causes = significant(_cause(evidence, one, squares) for one in reported)
-    if len(np.unique(evidence.views)) == 2:
+    seen_by = [evidence.cameras[k].name for k in np.unique(evidence.views)]
+    if len(seen_by) == 2:
         causes = _of_two(evidence, causes)
     left = 0.0 if fit is None else fit.left
     most = _UNEXPLAINED[evidence.systematic_px]
@@ -85,10 +86,11 @@ def diagnose(evidence: Evidence | None, squares: bool = False) -> Diagnosis:
         broadly, camera = broadly_left(evidence, fit)
         suspect = found[0].hypothesis.of if found else camera or ""
         if size_px := wanders_px(evidence, fit, suspect):
-            causes = [c for c in causes if c.of != suspect]
-            causes.insert(0, _wandering(suspect, size_px, not found or found[0].wrong))
+            who = seen_by if len(seen_by) == 2 else [suspect]
+            causes = [c for c in causes if c.of not in (suspect, ", ".join(who))]
+            causes.insert(0, _wandering(who, size_px, not found or found[0].wrong))
         elif broadly > most and sum(one.explains for one in found[:1]) < _EXPLAINED:
-            causes.insert(0, _unknown(camera, causes))
+            causes.insert(0, _unknown(camera if len(seen_by) > 2 else None, causes))
     return Diagnosis(tuple(causes), misfit, left, evidence, tuple(found))
 
 
@@ -153,11 +155,15 @@ def diagnose_recording(
     return replace(followed, causes=known) if known and whole.fits else followed
 
 
-def _wandering(camera: str, size_px: float, sure: bool) -> Cause:
+def _wandering(who: Sequence[str], size_px: float, sure: bool) -> Cause:
+    """A picture that wanders: of one camera, or of either of two, which cannot tell."""
+    wanders = "its picture wanders against the others'"
+    if len(who) == 2:
+        wanders = "the picture of one of them wanders against the other's"
     return Cause(
         Word.UNKNOWN,
-        camera,
-        f"{camera}: its picture wanders against the others', by {size_px:.1f} px RMS",
+        ", ".join(who),
+        f"{' and '.join(who)}: {wanders}, by {size_px:.1f} px RMS",
         "switch image stabilisation off, and fix the camera; else its frames are not where their "
         "stamps say",
         Level.WRONG if sure else Level.WEAK,

@@ -435,12 +435,8 @@ class ColorCount:
             return []
         blue, _, red = 100 * np.expm1(max(drifting.values(), key=_largest))
         names = ", ".join(drifting)
-        text = (
-            f"{names}: colours drift: blue by {blue:+.0f} % and red by {red:+.0f} % against green"
-        )
-        cure = (
-            "lock the white balance; light that changes its colour (dusk, a cold lamp) looks alike"
-        )
+        text = f"{names}: against green, blue drifts by {blue:+.0f} % and red by {red:+.0f} %"
+        cure = "lock the white balance; light that changes colour (dusk, a cold lamp) looks alike"
         return [Cause(Word.EXPOSURE, names, text, cure, Level.WEAK)]
 
 
