@@ -47,14 +47,14 @@ def posterior_covariance(matrix: Floats, precision: Floats) -> Floats:
     return np.asarray(inverse * scale[:, None] * scale)
 
 
-def undetermined(matrix: Floats, largest_sd: Floats) -> Floats:
-    """Directions (n, k) of the parameters that a normal matrix (n, n) does not determine.
+def undetermined(covariance: Floats, largest_sd: Floats) -> Floats:
+    """Directions (n, k) of the parameters that a covariance (n, n) leaves open.
 
-    They are those whose standard deviation would be larger than `largest_sd` (n,), from which on a
+    They are those whose standard deviation is larger than `largest_sd` (n,), from which on a
     parameter counts as not known; each is as long as it is then, the least determined one first.
     """
-    values, axes = np.linalg.eigh(matrix * largest_sd[:, None] * largest_sd)
-    return np.asarray(axes[:, values < 1.0] * largest_sd[:, None])
+    values, axes = np.linalg.eigh(covariance / (largest_sd[:, None] * largest_sd))
+    return np.asarray(axes[:, values > 1.0][:, ::-1] * largest_sd[:, None])
 
 
 def _unit_scale(matrix: Floats) -> Floats:

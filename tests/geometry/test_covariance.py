@@ -106,11 +106,11 @@ def test_what_data_and_prior_say_together() -> None:
     np.testing.assert_allclose(free, np.diag([0.25, 0.0]))
 
 
-def test_directions_that_stay_open_are_told() -> None:
+def test_directions_that_stay_open_are_named() -> None:
     seen = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     limits = np.array([100.0, 100.0, 0.2])
-    found = undetermined(1e4 * seen.T @ seen, limits)
+    found = undetermined(posterior_covariance(1e4 * seen.T @ seen, np.full(3, 1e-6)), limits)
     assert found.shape == (3, 1)
     np.testing.assert_allclose(np.abs(found[:, 0]), [70.71, 70.71, 0.0], atol=0.01)
-    assert undetermined(1e4 * np.eye(3), limits).shape == (3, 0)  # negative control
-    assert undetermined(np.diag([1e4, 1e4, 1.0]), limits).shape == (3, 1)
+    assert undetermined(1e-4 * np.eye(3), limits).shape == (3, 0)  # negative control
+    assert undetermined(np.diag([1e-4, 1e-4, 1.0]), limits).shape == (3, 1)

@@ -63,9 +63,7 @@ class FrameFit(RobotState):
         """Directions (12, k) of both frames that nothing shows, in mm and rad."""
         known = precision(seen, self.link_sd)
         C = posterior_covariance(self.normal, known)[:FRAMES, :FRAMES]
-        limits = OPEN_SHARE * known[:FRAMES] ** -0.5
-        scale = limits[:, None] * limits
-        return undetermined(np.linalg.inv(C / scale) / scale, limits)
+        return undetermined(C, OPEN_SHARE * known[:FRAMES] ** -0.5)
 
 
 def fit_frames(seen: Sightings, *, kinematics: bool) -> FrameFit:
