@@ -15,7 +15,7 @@ from measure_learning.core import Split
 from measure_learning.estimators import _nets, _training
 from measure_learning.estimators._play import PlayBank
 from measure_learning.estimators.stream import StreamEstimator, StreamSettings
-from measure_learning.onnx import Graph, OnnxModel
+from measure_learning.onnx import Graph
 from measure_learning.onnx.kinematics import TorchTip, tip_change
 from measure_learning.onnx.rotation import LEVER_MM, TurnChain, turn_errors
 from measure_learning.robots import find_schema
@@ -162,8 +162,6 @@ def test_the_graph_answers_what_training_scored(split: Split) -> None:
     head = fit._grus.head  # silent, so that the mean of both is the perceptron
     silent = _nets.Perceptrons(*(tuple(map(np.zeros_like, p)) for p in (head.weights, head.biases)))
     fit._grus = replace(fit._grus, head=silent)
-    left = (
-        split.validation.errors_mm - OnnxModel(fit._build({})).predict(split.validation).errors_mm
-    )
+    left = split.validation.errors_mm - fit.model.predict(split.validation).errors_mm
     rms = float(np.sqrt((left[split.validation.usable] ** 2).sum(axis=1).mean()))
     assert rms == pytest.approx(fit.curve[2].validation_mm, rel=1e-4)

@@ -154,13 +154,12 @@ def sweep(
     """
     settings = settings or {}
     from measure_learning.core import files, sweeping
-    from measure_learning.core.sweeping import read_space
 
     if options.trials < 1:
         raise ConfigError(f"--trials {options.trials}: expected a positive number")
     check_seeds(split_seed=options.split_seed)
     check_file(journal, overwrite=True)  # what is there goes on
-    ranges = read_space(space)
+    ranges = sweeping.read_space(space)
     if both := sorted(ranges.keys() & settings.keys()):
         raise ConfigError(f"--set {both[0]}: {space} has a range for it: give it in one place only")
     digest = files.read_dataset(data).digest()

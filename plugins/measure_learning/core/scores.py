@@ -296,11 +296,13 @@ def ablate(
     feature is held at its mean, so that files and schemas stay alike.
     """
     base = corrected_rms_mm(model, split.test)
+    order = np.random.default_rng(seed).permutation(len(split.test))
     found = []
     for index, (name, members) in enumerate(groups.items()):
         report(index / len(groups), name)
         columns = split.test.schema.index(members)
-        permuted = corrected_rms_mm(model, _shuffled(split.test, columns, seed))
+        shuffled = split.test.states[order][:, columns]
+        permuted = corrected_rms_mm(model, _with(split.test, columns, shuffled))
         removed = None if refit is None else _removed(refit(), split, columns, seed)
         removal = None if removed is None else removed - base
         found.append(Importance(name, len(columns), permuted, removed, permuted - base, removal))
@@ -314,11 +316,6 @@ def field_groups(data: Dataset, *, single: bool) -> dict[str, Sequence[str]]:
         return dict(data.schema.groups)
     spread = np.ptp(data.states, axis=0)
     return {name: (name,) for name, s in zip(data.schema.names, spread, strict=True) if s > 0}
-
-
-def _shuffled(data: Dataset, columns: Sequence[int], seed: int) -> Dataset:
-    order = np.random.default_rng(seed).permutation(len(data))
-    return _with(data, columns, data.states[order][:, columns])
 
 
 def _with(data: Dataset, columns: Sequence[int], values: Floats) -> Dataset:

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model
 from measure.api.spreading import Workers, spread
 from measure.errors import DivergedError, EstimatorError, FitError
 from measure.host import Estimator, Registry, Report
+from measure.host.interfaces import quiet
 from measure.processes import needed
 from measure.session import load_toml
 from measure_learning.core.files import read_dataset
@@ -64,11 +65,11 @@ class _Space(RootModel[dict[str, Range]]):
 class SweepState:
     """Numbers of trials in each state, and the best as (mm, settings)."""
 
+    best: tuple[tuple[float, dict[str, Any]], ...]
     finished: int
     failed: int
     running: int
     waiting: int  # to be tried again
-    best: tuple[tuple[float, dict[str, Any]], ...]
 
 
 def read_space(path: Path) -> dict[str, Range]:
@@ -82,19 +83,14 @@ def sweep_state(study: Any) -> SweepState:
 
     states = optuna.trial.TrialState
     counted = (states.COMPLETE, states.FAIL, states.RUNNING, states.WAITING)
-    done, failed, running, waiting = (study.get_trials(False, (state,)) for state in counted)
-    best = sorted(done, key=lambda t: t.value)[:10]
-    return SweepState(
-        len(done),
-        len(failed),
-        len(running),
-        len(waiting),
-        # A choice is kept as JSON, for a list cannot be one of optuna's.
-        tuple(
-            (t.value, {k: json.loads(v) if isinstance(v, str) else v for k, v in t.params.items()})
-            for t in best
-        ),
-    )
+    trials = [study.get_trials(False, (state,)) for state in counted]
+    best = sorted(trials[0], key=lambda t: t.value)[:10]
+    # A choice is kept as JSON, for a list cannot be one of optuna's.
+    chosen = [
+        (t.value, {k: json.loads(v) if isinstance(v, str) else v for k, v in t.params.items()})
+        for t in best
+    ]
+    return SweepState(tuple(chosen), *map(len, trials))
 
 
 @contextmanager
@@ -205,8 +201,6 @@ class SweepJob:
 
 def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
     """Fit with some settings; RMS in mm on the validation recordings."""
-    from measure.host.interfaces import quiet
-
     data = read_dataset(Path(job.data))
     if data.digest() != job.digest:
         raise EstimatorError(f"{job.data}: has changed since the sweep began: use another journal")

@@ -81,8 +81,9 @@ class GpEstimator(WithinTrajectoryEstimator):
     known: Kernel | None = None  # the kernel, where a fit to more has chosen it
     kernel: Kernel  # once fitted
 
-    def _twin(self) -> Self:
-        twin = super()._twin()
+    def twin(self) -> Self:
+        """With the kernel that this one has."""
+        twin = super().twin()
         twin.known = self.kernel
         return twin
 

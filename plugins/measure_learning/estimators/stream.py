@@ -73,8 +73,8 @@ class StreamEstimator(WithinTrajectoryEstimator):
     name = "stream"
     Config = StreamSettings
     config: StreamSettings
-    _known: Kernel | None = None  # of the process, where a fit to more has chosen it
-    _kernel: Kernel | None = None  # the one that this fit has
+    known: Kernel | None = None  # of the process, where a fit to more has chosen it
+    kernel: Kernel | None = None  # the one that this fit has
 
     def draft(self) -> host.Settings:
         """Fewer nets, for half as long: what recordings left out show changes by a few percent."""
@@ -88,9 +88,10 @@ class StreamEstimator(WithinTrajectoryEstimator):
         }
         return c.model_copy(update=fewer)
 
-    def _twin(self) -> Self:
-        twin = super()._twin()
-        twin._known = self._kernel  # noqa: SLF001 - its class
+    def twin(self) -> Self:
+        """With the kernel that this one has."""
+        twin = super().twin()
+        twin.known = self.kernel
         return twin
 
     def learn(
@@ -121,9 +122,9 @@ class StreamEstimator(WithinTrajectoryEstimator):
         if not (points := self.config.points):
             return None
         process = GpEstimator(GpSettings(points=points, play_widths=self.config.play_widths))
-        process.known = self._known
+        process.known = self.known
         process.learn(data, validation, seed=seed, report=host.quiet)
-        self._kernel = process.kernel
+        self.kernel = process.kernel
         return process
 
     def _fit_perceptrons(
