@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,9 @@ _MIN_SEEN_SHARE = 0.5
 _MAX_CHANCE_SHARE = 0.1  # Of frame sets with a pose, a second body or a reflection by chance
 _MIN_ANGLE_DEG = 20.0
 _GRID = (-1.0, 0.0, 1.0)
+_HIDDEN_SHARE = 0.15  # Of views, from which on another ball in front is worth knowing
+_BEHIND = 2.0  # Error of a centre behind another ball over that of others: 1.4 to 2.9 in renders
+_ARMS = 1.25, 1.5, 2.0, 3.0  # Times as long
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class Coverage:
     ball: str
     seen: int
     expected: int
+    hidden: int = 0  # where it lay there, but another ball of the body was before its centre
 
 
 def coverage_findings(
@@ -63,22 +67,28 @@ def coverage_findings(
         text = f"no pose in {lost} of {len(samples)} frame sets looked at, mostly: {common}; {why}"
         findings.append(Finding(Level.WRONG if by_chance else Level.WEAK, "balls", text))
     disagreeing = {cause.of for cause in disagreeing_causes(samples)}
-    flagged = [s.flags[0] for s in samples if s.flags]
-    if len(flagged) > _MAX_CHANCE_SHARE * len(samples):  # a second body may be in view
-        text = f"{flagged[0]} (so in {len(flagged)} of {len(samples)} frame sets looked at)"
-        mostly = true_colors and len(flagged) > len(samples) / 2
-        findings.append(Finding(Level.WRONG if mostly else Level.WEAK, "balls", text))
-    reflections = [s.reflection for s in samples if s.reflection is not None]
-    if len(reflections) > _MAX_CHANCE_SHARE * len(samples):
-        text = f"{reflections[0]} (so in {len(reflections)} of {len(samples)} frame sets looked at)"
-        findings.append(Finding(Level.NOTE, "balls", text))
+    flagged = [s.flags[0] for s in samples if s.flags]  # a second body may be in view
+    reflected = [s.reflection for s in samples if s.reflection is not None]
+    mostly = true_colors and len(flagged) > len(samples) / 2
+    level = Level.WRONG if mostly else Level.WEAK
+    for found, bad in ((flagged, level), (reflected, Level.NOTE)):
+        if len(found) > _MAX_CHANCE_SHARE * len(samples):
+            text = f"{found[0]} (so in {len(found)} of {len(samples)} frame sets looked at)"
+            findings.append(Finding(bad, "balls", text))
     for row in table:
         if row.camera not in disagreeing and row.seen < _MIN_SEEN_SHARE * row.expected:
+            own = row.hidden > (row.expected - row.seen) / 2
+            why = (
+                f"another ball of the body is in front of it in {row.hidden}"
+                if own
+                else "hidden, or its colour does not match"
+            )
             text = (
                 f"{row.camera} sees ball {row.ball} in {row.seen} of {row.expected} frame sets "
-                "in which it lies in its picture: hidden, or its colour does not match"
+                f"in which it lies in its picture: {why}"
             )
             findings.append(Finding(Level.NOTE, "coverage", text))
+    findings += _hiding(with_pose, body, cameras)
     if with_pose and (angle := _widest_angle(with_pose, cameras)) < _MIN_ANGLE_DEG:
         text = (
             f"all cameras look along nearly the same line ({angle:.0f} deg apart at most): "
@@ -86,6 +96,32 @@ def coverage_findings(
         )
         findings.append(Finding(Level.WEAK, "coverage", text))
     return table, findings
+
+
+def _hiding(
+    samples: Sequence[SearchSample], body: Body, cameras: Sequence[Camera]
+) -> Iterator[Finding]:
+    """What longer arms would give where balls of the body are often behind others."""
+    poses = [s.world_from_body for s in samples if s.world_from_body is not None]
+
+    def with_arms(times: float) -> tuple[float, Floats]:
+        """Share of views partly behind another ball, and the pose's SD (2,), mm and deg per px."""
+        one = body.with_centers(body.middle + times * (body.centers - body.middle))
+        views = [c.hides(p.apply(one.centers), one.radii, 1.0) for p in poses for c in cameras]
+        sd = [noise_sd(pose, one, cameras, 1.0, _BEHIND) for pose in poses]
+        return float(np.mean(np.any(views, axis=2))), np.median(sd, axis=0)
+
+    if not poses or (now := with_arms(1.0))[0] <= _HIDDEN_SHARE:
+        return
+    text = f"balls are partly behind another one of the body in {now[0]:.0%} of their views"
+    longer = ((times, *with_arms(times)) for times in _ARMS)
+    if best := next((one for one in longer if one[1] < _HIDDEN_SHARE), None):
+        position, rotation = best[2] / now[1]
+        text += (
+            f": with arms {best[0]:g} times as long it would be {best[1]:.0%}, and the position "
+            f"{position:.2f} and the rotation {rotation:.2f} times as noisy (by geometry)"
+        )
+    yield Finding(Level.NOTE, "body", text)
 
 
 def disagreeing_causes(samples: Sequence[SearchSample]) -> list[Cause]:
@@ -130,13 +166,15 @@ def expected_accuracy(
 
 def _seen(samples: Sequence[SearchSample], body: Body, camera: Camera, ball: int) -> Coverage:
     name = body.names[ball]
-    seen = expected = 0
+    seen = expected = hidden = 0
     for sample in samples:
         assert sample.world_from_body is not None
-        pixel = camera.project(sample.world_from_body.apply(body.centers[ball : ball + 1]))
-        expected += int(camera.intrinsics.contains(pixel)[0])
+        centers = sample.world_from_body.apply(body.centers)
+        lies = bool(camera.intrinsics.contains(camera.project(centers[ball : ball + 1]))[0])
+        expected += lies
         seen += any(d.camera == camera.name and d.ball == name for d in sample.agreeing)
-    return Coverage(camera.name, name, seen, max(expected, seen))
+        hidden += lies and bool(camera.hides(centers, body.radii)[ball].any())
+    return Coverage(camera.name, name, seen, max(expected, seen), hidden)
 
 
 def _widest_angle(samples: Sequence[SearchSample], cameras: Sequence[Camera]) -> float:

@@ -19,7 +19,11 @@ from measure.model import Body, Camera, Detection
 
 
 def noise_sd(
-    pose: RigidTransform, body: Body, cameras: Sequence[Camera], noise_px: float
+    pose: RigidTransform,
+    body: Body,
+    cameras: Sequence[Camera],
+    noise_px: float,
+    behind: float = 1.0,
 ) -> tuple[float, float]:
     """Standard deviations of position (3-D, mm) and rotation (deg) from image noise alone.
 
@@ -28,15 +32,18 @@ def noise_sd(
     Args:
         pose: world_from_body.
         noise_px: standard deviation of a ball's centre in an image, per axis.
+        behind: times as much where another ball hides a part of it.
     """
     centers = pose.apply(body.centers)
     seen = []
     for camera in cameras:
         pixels = camera.project(centers)
         inside = camera.intrinsics.contains(pixels)
+        hidden = camera.hides(centers, body.radii, 1.0).any(axis=1)
+        sd_px = noise_px * np.where(hidden, behind, 1.0)
         seen += [
-            Detection(ball, camera.name, 0.0, pixel, 1.0, noise_px**2 * np.eye(2))
-            for ball, pixel, ok in zip(body.names, pixels, inside, strict=True)
+            Detection(ball, camera.name, 0.0, pixel, 1.0, sd**2 * np.eye(2))
+            for ball, pixel, sd, ok in zip(body.names, pixels, sd_px, inside, strict=True)
             if ok
         ]
     if len({d.camera for d in seen}) < 2:

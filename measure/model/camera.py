@@ -245,6 +245,21 @@ class Camera:
         directions = self.world_from_camera.rotate(self.intrinsics.unproject(pixels))
         return Rays(np.broadcast_to(self.center, directions.shape), directions)
 
+    def hides(self, centers_world: Floats, radii_mm: Floats, share: float = 0.0) -> Bools:
+        """Whether ball i is behind ball j, (n, n): its centre is, or a point of it beside that.
+
+        Args:
+            centers_world: (n, 3) mm.
+            radii_mm: (n,)
+            share: of its own radius, how far beside its centre; 1 for any part of it.
+        """
+        away = centers_world - self.center
+        far = np.linalg.norm(away, axis=1)
+        depth = away @ (away / far[:, None]).T  # of ball j along the line to ball i, [j, i]
+        off = np.sqrt(np.maximum((far**2)[:, None] - depth**2, 0.0))
+        before = (off < radii_mm[:, None] + share * radii_mm * depth / far) & (depth < far)
+        return np.asarray(before.T & ~np.eye(len(far), dtype=bool))
+
     def outline(self, center_world: ArrayLike, radius_mm: float, count: int = 72) -> Floats:
         """The outline (count, 2) in px of a sphere in the world; NaN where it has no image.
 

@@ -75,8 +75,31 @@ def test_coverage_counts_what_is_hidden():
     assert by_key["cam0", "red"].seen == 0
     assert by_key["cam0", "red"].expected == 20
     assert by_key["cam1", "red"].seen == 20
-    said = {f.text.split(" in ")[0] for f in findings}
-    assert said == {"cam0 sees ball red", "cam0 sees ball green"}
+    missing = {f.text.split(" in ")[0] for f in findings if f.topic == "coverage"}
+    assert missing == {"cam0 sees ball red", "cam0 sees ball green"}
+
+
+def test_balls_behind_others_are_counted_and_longer_arms_are_weighed():
+    """The shares by rays through points of each ball; cam0 looks along the line of two balls."""
+    camera, line = CAMERAS["cam0"], RAVEN.with_centers(RAVEN.centers * [[1], [1], [0]])
+    rng, turned = np.random.default_rng(0), RigidTransform.from_rotvec([0.3, 0.5, 0.1], TARGET)
+    places = turned.apply(line.centers)
+    found = camera.hides(places, line.radii, 1.0)
+    for i, j in np.ndindex(found.shape):
+        on = rng.normal(size=(4000, 3))
+        on *= line.radii[i] / np.linalg.norm(on, axis=1)[:, None]
+        way = places[i] + on - camera.center
+        way /= np.linalg.norm(way, axis=1)[:, None]
+        depth = way @ (places[j] - camera.center)
+        off = np.linalg.norm(camera.center + depth[:, None] * way - places[j], axis=1)
+        nearer = np.linalg.norm(places - camera.center, axis=1)
+        assert found[i, j] == (bool((off < line.radii[j]).any()) and nearer[j] < nearer[i])
+    (note,) = (f for f in coverage_findings(samples(), RAVEN, RIG)[1] if "partly behind" in f.text)
+    assert note.level is Level.NOTE
+    assert "with arms" in note.text
+    wide = RAVEN.with_centers(4 * RAVEN.centers)
+    alone = [replace(s, world_from_body=path(s.time_s)) for s in samples(3)]
+    assert not any("partly behind" in f.text for f in coverage_findings(alone, wide, RIG)[1])
 
 
 def test_cameras_in_a_row_are_called_weak():
@@ -97,7 +120,8 @@ def test_a_second_body_is_wrong_where_most_frame_sets_show_one(shown, level):
     flag = "there may be a second body near (16, -283, 161) mm"
     seen = [replace(s, flags=(flag,) * (k < shown)) for k, s in enumerate(samples(24))]
     _, findings = coverage_findings(seen, RAVEN, RIG)
-    assert [(f.level, f"{flag} (so in {shown} of 24" in f.text) for f in findings] == (
+    strangers = [f for f in findings if f.topic == "balls"]
+    assert [(f.level, f"{flag} (so in {shown} of 24" in f.text) for f in strangers] == (
         [] if level is None else [(level, True)]
     )
 

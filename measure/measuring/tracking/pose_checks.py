@@ -339,11 +339,7 @@ def _in_sight(camera: Camera, body: Body, centers: Floats, ball: int) -> bool:
     """Whether a ball lies in the image and its centre is hidden by no other ball of the body."""
     if not camera.intrinsics.contains(camera.project(centers[ball][None]))[0]:
         return False
-    away = centers - camera.center
-    line = away[ball] / np.linalg.norm(away[ball])
-    depth = away @ line
-    off = np.linalg.norm(away - depth[:, None] * line, axis=1)
-    return not np.any((off < body.radii) & (depth < depth[ball]))
+    return not camera.hides(centers, body.radii)[ball].any()
 
 
 def too_uncertain(pose: Pose, body: Body) -> bool:
