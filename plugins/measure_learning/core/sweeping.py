@@ -146,7 +146,7 @@ def _storage(journal: Path, heartbeat_s: int) -> Any:
 
     return optuna.storages.RDBStorage(
         "sqlite:///sweep",  # the dialect: a URL cannot hold every file's name
-        {"creator": partial(sqlite3.connect, journal, _LOCKED_S, check_same_thread=False)},
+        {"creator": partial(sqlite3.connect, journal, timeout=_LOCKED_S, check_same_thread=False)},
         heartbeat_interval=heartbeat_s,
         grace_period=3 * heartbeat_s,
         heartbeat_stale_trial_callback=optuna.storages.RetryHeartbeatStaleTrialCallback(),
