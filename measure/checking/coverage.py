@@ -77,12 +77,9 @@ def coverage_findings(
             findings.append(Finding(bad, "balls", text))
     for row in table:
         if row.camera not in disagreeing and row.seen < _MIN_SEEN_SHARE * row.expected:
-            own = row.hidden > (row.expected - row.seen) / 2
-            why = (
-                f"another ball of the body is in front of it in {row.hidden}"
-                if own
-                else "hidden, or its colour does not match"
-            )
+            why = "hidden, or its colour does not match"
+            if row.hidden > (row.expected - row.seen) / 2:
+                why = f"another ball of the body is in front of it in {row.hidden}"
             text = (
                 f"{row.camera} sees ball {row.ball} in {row.seen} of {row.expected} frame sets "
                 f"in which it lies in its picture: {why}"
@@ -115,11 +112,11 @@ def _hiding(
         return
     text = f"balls are partly behind another one of the body in {now[0]:.0%} of their views"
     longer = ((times, *with_arms(times)) for times in _ARMS)
-    if best := next((one for one in longer if one[1] < _HIDDEN_SHARE), None):
-        position, rotation = best[2] / now[1]
+    best = next((one for one in longer if one[1] < _HIDDEN_SHARE), None)
+    if best and np.isfinite(ratio := best[2] / now[1]).all():
         text += (
             f": with arms {best[0]:g} times as long it would be {best[1]:.0%}, and the position "
-            f"{position:.2f} and the rotation {rotation:.2f} times as noisy (by geometry)"
+            f"{ratio[0]:.2f} and the rotation {ratio[1]:.2f} times as noisy (by geometry)"
         )
     yield Finding(Level.NOTE, "body", text)
 

@@ -246,12 +246,12 @@ class Camera:
         return Rays(np.broadcast_to(self.center, directions.shape), directions)
 
     def hides(self, centers_world: Floats, radii_mm: Floats, share: float = 0.0) -> Bools:
-        """Whether ball i is behind ball j, (n, n): its centre is, or a point of it beside that.
+        """Whether ball j is before ball i, as [i, j] of (n, n).
 
         Args:
             centers_world: (n, 3) mm.
             radii_mm: (n,)
-            share: of its own radius, how far beside its centre; 1 for any part of it.
+            share: which point of ball i counts: its centre (0), or any within so many radii.
         """
         away = centers_world - self.center
         far = np.linalg.norm(away, axis=1)
