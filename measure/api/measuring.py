@@ -40,7 +40,7 @@ def measure_bodies(
     profile: Profile,
     registry: Registry,
     start: int = 0,
-    keep: Keep = "off",
+    keep: Keep | None = "off",
     earlier: Sequence[CameraChange] = (),
 ) -> Iterator[tuple[FrameSet, tuple[Measurement, ...]]]:
     """`measure_session` for all of `session.bodies`, in order, each with its own pipeline.
@@ -65,11 +65,15 @@ def why_not_kept(bodies: int, cameras: int) -> str:
 
 
 def keep_cameras(
-    pipelines: Sequence[Pipeline], keep: Keep, earlier: Sequence[CameraChange] = (), start: int = 0
+    pipelines: Sequence[Pipeline],
+    keep: Keep | None,
+    earlier: Sequence[CameraChange] = (),
+    start: int = 0,
 ) -> None:
-    """Let pipelines notice cameras that are moved, and bring them back to "follow" them.
+    """Let pipelines notice cameras that are moved, and bring them back but to "warn".
 
     Args:
+        keep: only to "follow" are cameras followed that drift.
         earlier: what was noticed before frame set `start`.
     """
     one = pipelines[0]
@@ -78,8 +82,8 @@ def keep_cameras(
     if keep != "off" and not remembers and not why_not_kept(len(pipelines), len(one.cameras)):
         from measure.calibration.keeping import CameraKeeper
 
-        follows = keep == "follow"
-        one.keeper = CameraKeeper(one.body, one.cameras, follows, earlier, start)
+        follows, drifts = keep != "warn", keep == "follow"
+        one.keeper = CameraKeeper(one.body, one.cameras, follows, earlier, start, drifts)
 
 
 def _with_run_up(session: Session, start: int) -> Iterator[FrameSet]:

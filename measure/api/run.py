@@ -39,7 +39,8 @@ class RunOptions(LogOptions):
     body: Path | Sequence[Path] | None = None
     # name of the body that the others are measured relative to, instead of the session's.
     reference: str | None = None
-    # what is done about cameras that are moved meanwhile; None: they are followed, where they can.
+    # what is done about cameras that are moved meanwhile; None: they are followed, where they can,
+    # but for those that drift.
     keep_calibration: Keep | None = None
 
     def open(self, session: Path) -> Session:
@@ -89,7 +90,7 @@ def run(
         total, kept = len(session.pair().times_s), writer.kept
         measured: Iterator[tuple[FrameSet, tuple[Measurement, ...]]] = iter(())
         if kept < total:
-            keep, earlier = options.keep_calibration or "follow", writer.camera_changes
+            keep, earlier = options.keep_calibration, writer.camera_changes
             measured = measure_bodies(session, profile, registry, kept, keep, earlier)
         # Stages that do not fit together or fail at the very first picture are met here: before a
         # folder is made, or an earlier run lost.

@@ -3,7 +3,8 @@
 A camera that sees no ball where the others do is looked at as a whole. If it shows the balls as it
 would from another place, it was moved, and is left out. Once one pose of it explains what it has
 shown for a while, it stands still: that pose is refined on those pictures with all other cameras
-held (`refine_rig`), gets the covariance of that, and the camera counts again.
+held (`refine_rig`), gets the covariance of that, and the camera counts again. A camera that drifts
+is not left out (`DriftWatch`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats
+from measure.calibration.drifting import DriftWatch
 from measure.calibration.refining.freeing import FreedRig, loosened
 from measure.calibration.refining.procedure import SUSPICIOUS_PX, UNTRIED_VARIANCE_FACTOR
 from measure.calibration.refining.recording import recording_of
@@ -81,6 +83,7 @@ class CameraKeeper:
         cameras: as calibrated; at least three.
         follows: whether a camera that was moved is left out and brought back; else it is noticed.
         earlier: the changes that a run has kept, which is resumed at frame set `start`.
+        drifts: whether a camera that drifts is followed.
     """
 
     def __init__(
@@ -90,11 +93,13 @@ class CameraKeeper:
         follows: bool = True,
         earlier: Sequence[CameraChange] = (),
         start: int = 0,
+        drifts: bool = False,
     ) -> None:
         self._body, self._start = body, start
         self._rigs = [KeptRig(tuple(cameras), follows=follows)]
         for change in earlier:
             self._rigs.append(self._rigs[-1].changed(change))
+        self._drift = DriftWatch(body, self._rigs[-1].cameras) if drifts else None
         self._suspects = {name: _Suspect(-np.inf, _BLIND_SETS) for name in self._rigs[-1].away}
         self._noticed: set[str] = set()  # cameras that are not asked about any more
         self._motion: Motion | None = None  # of the body at the last frame set
@@ -145,6 +150,9 @@ class CameraKeeper:
         """Take what cameras show that may have been moved; those left out show that they are."""
         rig = self.rig(measured.index)
         away = rig.away
+        if self._drift is not None and measured.index >= self._start:
+            step = self._drift.add(measured, rig.cameras)
+            self._rigs += [rig.changed(step)] if step is not None else []
         for camera in rig.cameras if self._motion is not None else ():
             suspect = self._suspects.get(camera.name)
             if suspect is None or suspect.blind_sets <= _BLIND_SETS:

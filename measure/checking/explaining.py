@@ -9,7 +9,7 @@ the one with the largest gain in chi-square over the null, less what its paramet
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -292,6 +292,18 @@ def _system(evidence: Evidence, here: Fit) -> _System:
     return _System(normal, right, nuisance, fixed)
 
 
+def normal_equations(evidence: Evidence) -> tuple[Floats, Floats, Floats]:
+    """Of all parameters of the rig by balls' centres, the poses eliminated.
+
+    They are (p, p) and (p,); and (b, p) what biases add to the latter.
+    """
+    here = np.zeros((1, evidence.size))
+    evidence = replace(evidence, whitening=evidence.whitening * np.array([[1.0], [1.0], [0.0]]))
+    linear = evidence.linearised(evidence.poses, here, np.zeros(len(evidence), np.int64))
+    parts = _Normal.of(evidence, linear, linear.by_rig)
+    return parts.normal.sum(axis=0), parts.right.sum(axis=0), _biased(evidence, parts.own)
+
+
 def _common(evidence: Evidence) -> list[int]:
     """The columns of what all pictures err by alike."""
     return [evidence.shared(what) for what in (EDGE, ASIDE, ASIDE + 1)]
@@ -468,11 +480,16 @@ def _covariance(evidence: Evidence, parts: _Normal, normal: Floats, noise: float
         ]
     )
     jackknife = (len(blocks) - 1) / len(blocks) * spread.T @ spread
-    bias = np.zeros((len(evidence.cameras) * len(evidence.body.balls), 3, normal.shape[0]))
+    biased = _biased(evidence, parts.own) @ inverse
+    return np.asarray(noise * inverse + jackknife + biased.T @ biased)
+
+
+def _biased(evidence: Evidence, own: Floats) -> Floats:
+    """What constant biases of each ball in each camera add to the right side (b, q)."""
+    bias = np.zeros((len(evidence.cameras) * len(evidence.body.balls), 3, own.shape[2]))
     bias_px = _BIAS_SHARE * evidence.systematic_px
     sizes = 2 * bias_px * np.exp(-evidence.seen[:, 2])
     units = np.stack([np.full(len(evidence), bias_px)] * 2 + [sizes], axis=1)
-    by_bias = np.swapaxes(evidence.whitening * units[:, None, :], 1, 2) @ parts.own
+    by_bias = np.swapaxes(evidence.whitening * units[:, None, :], 1, 2) @ own
     np.add.at(bias, evidence.views * len(evidence.body.balls) + evidence.balls, by_bias)
-    biased = bias.reshape(-1, normal.shape[0]) @ inverse
-    return np.asarray(noise * inverse + jackknife + biased.T @ biased)
+    return bias.reshape(-1, own.shape[2])

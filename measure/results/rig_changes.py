@@ -71,14 +71,15 @@ def of_unmoved(detections: pa.Table, changes: Sequence[CameraChange]) -> pa.Tabl
 
 
 class CameraMove(NamedTuple):
-    """A camera that was moved."""
+    """A camera that was moved, or drifted."""
 
     camera: str
     since_s: float  # when
-    until_s: float | None  # from when on it was used again; None: not at all
-    shift_mm: float | None  # how far it was moved, and turned; None: not known
-    turn_deg: float | None
-    turn_sd_deg: float | None
+    until_s: float | None = None  # from when on it was used where it stood then; None: not at all
+    shift_mm: float | None = None  # how far it was moved, and turned; None: not known
+    turn_deg: float | None = None
+    turn_sd_deg: float | None = None
+    drifted: bool = False  # followed in steps, and never left out
 
 
 def camera_moves(
@@ -86,28 +87,41 @@ def camera_moves(
 ) -> list[CameraMove]:
     """Each time that a camera was moved, from the changes, the cameras as calibrated, and times."""
     stands = {camera.name: camera.world_from_camera for camera in cameras}
+    out, begun = list[CameraMove](), dict[str, tuple[int, RigidTransform]]()
+    for change in changes:
+        name, pose = change.camera, change.world_from_camera
+        last = out[begun[name][0]] if name in begun else None
+        if pose is None or last is None or (last.until_s is not None and not last.drifted):
+            begun[name] = len(out), stands[name]
+            out.append(CameraMove(name, change.since_s, drifted=pose is not None))
+        if pose is not None:
+            place, before = begun[name]
+            (shift_mm, _), (turn_deg, sd_deg) = moved_by(pose, before, change.covariance)
+            known = None if change.covariance is None else sd_deg
+            until_s = float(times_s[min(change.frame_set, len(times_s) - 1)])
+            out[place] = out[place]._replace(
+                until_s=until_s, shift_mm=shift_mm, turn_deg=turn_deg, turn_sd_deg=known
+            )
+            stands[name] = pose
+    return out
+
+
+def moved_by(
+    now: RigidTransform, before: RigidTransform, known: Floats | None
+) -> list[list[float]]:
+    """By how many mm a camera was shifted, and turned by how many deg; each with its SD."""
     out = []
-    for place, change in enumerate(changes):
-        name, since_s = change.camera, change.since_s
-        if change.world_from_camera is not None:
-            continue
-        back = next((c for c in changes[place + 1 :] if c.camera == name), None)
-        if back is None or back.world_from_camera is None:
-            out.append(CameraMove(name, since_s, None, None, None, None))
-            continue
-        step = back.world_from_camera.difference(stands[name])
-        stands[name], turn, sd_deg = back.world_from_camera, float(np.linalg.norm(step[3:])), None
-        if back.covariance is not None:
-            axis = step[3:] / max(turn, TINY)
-            sd_deg = float(np.degrees(np.sqrt(axis @ back.covariance[3:, 3:] @ axis)))
-        until_s = float(times_s[min(back.frame_set, len(times_s) - 1)])
-        shift_mm = float(np.linalg.norm(step[:3]))
-        out.append(CameraMove(name, since_s, until_s, shift_mm, float(np.degrees(turn)), sd_deg))
+    for part, unit in ((slice(0, 3), 1.0), (slice(3, 6), float(np.degrees(1)))):
+        step = now.difference(before)[part]
+        size = float(np.linalg.norm(step))
+        axis = step / max(size, TINY)
+        sd = 0.0 if known is None else float(np.sqrt(axis @ known[part, part] @ axis))
+        out.append([unit * size, unit * sd])
     return out
 
 
 def moved_findings(moves: Sequence[CameraMove], start_s: float, follows: bool) -> list[Finding]:
-    """One of each time that a camera was moved: from when to when it was left out, and how far.
+    """One of each time that a camera was moved, or drifted: from when to when, and how far.
 
     Args:
         start_s: time of the first frame set.
@@ -116,8 +130,15 @@ def moved_findings(moves: Sequence[CameraMove], start_s: float, follows: bool) -
     out = []
     for one in moves:
         text = f"{one.camera} was moved {one.since_s - start_s:.1f} s after the start"
-        level, remedy = Level.WEAK, "calibrate it again"
-        if not follows:
+        level, remedy, far = Level.WEAK, "calibrate it again", ""
+        if one.until_s is not None:
+            far = f"{one.shift_mm:.1f} mm and {one.turn_deg:.2f} deg from where it was"
+        if one.drifted:
+            text = (
+                f"{one.camera} drifts, and is followed from {one.since_s - start_s:.1f} s on: {far}"
+            )
+            level, remedy = Level.NOTE, "let it run warm, fasten its stand, and calibrate it again"
+        elif not follows:
             level = Level.WRONG
             remedy = "measure with `--keep-calibration follow`, or calibrate it again"
         elif one.until_s is None:
@@ -125,7 +146,7 @@ def moved_findings(moves: Sequence[CameraMove], start_s: float, follows: bool) -
         else:
             text += (
                 f", left out until {one.until_s - start_s:.1f} s, and used from there where it "
-                f"stands now ({one.shift_mm:.1f} mm and {one.turn_deg:.2f} deg from where it was)"
+                f"stands now ({far})"
             )
             level, remedy = Level.NOTE, "calibrate it again before the next recording"
         out.append(
@@ -133,7 +154,7 @@ def moved_findings(moves: Sequence[CameraMove], start_s: float, follows: bool) -
                 level,
                 "calibration",
                 f"{text}: {remedy}",
-                code=str(Word.MOVED_AT),
+                code=str(Word.DRIFT if one.drifted else Word.MOVED_AT),
                 subject=one.camera,
                 estimate=one.turn_deg,
                 sd=one.turn_sd_deg,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from measure.calibration.keeping import CameraKeeper
-from measure.geometry import RigidTransform
+from measure.geometry import RigidTransform, chi_square_quantile, squared_mahalanobis
 from measure.measuring import Pipeline, Stages
 from measure.measuring.tracking.predictive import PredictiveTracker
 from measure.measuring.tracking.settings import PredictiveConfig
@@ -55,7 +55,18 @@ def path(time_s):
     return RigidTransform.from_rotvec(rotvec, TARGET + shift)
 
 
-def measured(stands, count=4, body=RAVEN, sets=90, keeps=True, known=None, at=path, **oracle):
+def measured(
+    stands,
+    count=4,
+    body=RAVEN,
+    sets=90,
+    keeps=True,
+    known=None,
+    at=path,
+    hz=HZ,
+    drifts=False,
+    **oracle,
+):
     """Measurements, the keeper, and where the cameras truly stand at last."""
     stated = ring(count, pose_covariance=known)
     true = stated if known is None else strayed(stated, np.random.default_rng(4))
@@ -77,11 +88,11 @@ def measured(stands, count=4, body=RAVEN, sets=90, keeps=True, known=None, at=pa
     )
     pipeline = Pipeline(body, cameras, stages)
     if keeps:
-        pipeline.keeper = CameraKeeper(body, cameras)
+        pipeline.keeper = CameraKeeper(body, cameras, drifts=drifts)
     return (
-        list(pipeline.measure(frame_sets(stated, sets, HZ))),
+        list(pipeline.measure(frame_sets(stated, sets, hz))),
         pipeline.keeper,
-        {name: stands(sets / HZ, camera) for name, camera in true.items()},
+        {name: stands(sets / hz, camera) for name, camera in true.items()},
     )
 
 
@@ -164,3 +175,30 @@ def test_a_camera_that_was_pushed_and_came_back_stands_where_it_stood():
     assert np.abs(back.world_from_camera.difference(stood)).max() < 1e-9
     assert back.covariance is None
     assert "cam1" in found[-1].pose.cameras
+
+
+@pytest.mark.parametrize("turn_deg", [0.2, 0.0])
+def test_a_camera_that_drifts_is_followed_and_a_healthy_one_left_alone(turn_deg):
+    """From 8 s on for 24 s: the poses after it are as good as those before, and as they state."""
+
+    def sagging(time_s, camera):
+        if camera.name != "cam1":
+            return camera
+        angle = np.radians(turn_deg) * np.clip((time_s - 8) / 24, 0, 1)
+        turn = camera.world_from_camera.rotate(angle * TURN / np.linalg.norm(TURN))
+        return replace(camera, world_from_camera=camera.world_from_camera.perturb([0, 0, 0, *turn]))
+
+    found, keeper, true = measured(sagging, sets=400, hz=8.0, drifts=True)
+    changes = keeper.rig(400).changes
+    assert bool(changes) == bool(turn_deg)
+    assert all(c.camera == "cam1" and c.world_from_camera is not None for c in changes)
+    assert all("cam1" in m.pose.cameras and m.status == "ok" for m in found[300:])
+    off = errors(found)
+    before, after = (np.sqrt(np.mean(e[:, :3] ** 2)) for e in (off[:64], off[300:]))
+    assert after < 1.5 * before
+    known = np.stack([m.pose.covariance for m in found[300:]])
+    squares = squared_mahalanobis(off[300:], known)
+    assert np.mean(squares < chi_square_quantile(0.95, 6)) > 0.9
+    for change in changes[-1:]:
+        left = true["cam1"].world_from_camera.difference(change.world_from_camera)
+        assert left @ np.linalg.solve(change.covariance, left) < 22.5

@@ -45,7 +45,8 @@ class LiveOptions(recording.CaptureOptions, LogOptions, SendOptions):
     record: Path | None = None  # a session folder to record the pictures into as well
     reference: str = ""  # name of the body that others are measured relative to; empty without one
     marks: tuple[str, ...] = ()  # where event marks come from, see `marks_received`
-    # what is done about cameras that are moved meanwhile; None: they are followed, where they can.
+    # what is done about cameras that are moved meanwhile; None: they are followed, where they can,
+    # but for those that drift.
     keep_calibration: Keep | None = None
     # called with what is done next, before the first pose.
     on_step: Callable[[str], None] = lambda _: None
@@ -132,7 +133,7 @@ def live(
         frame_sets = partial(gathering.frame_sets, opened.begin(*takers), rig.check)
         options.on_step(LEARNING)
         pipelines = live_pipelines(prepared.warm, prepared.build, frame_sets)
-        keep_cameras(pipelines, options.keep_calibration or "follow")
+        keep_cameras(pipelines, options.keep_calibration)
         looking = stack.enter_context(ThreadPoolExecutor(1))
         watches = [RigWatch(body, sent.cameras, looking) for body in sent.bodies]
         state, watch = None, _PaceMeter(gathering, rig, watches)
