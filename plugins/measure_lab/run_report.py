@@ -26,6 +26,7 @@ from measure.limits import MOST_LISTED, SINCE_1970_S, SPREAD_OVER
 from measure.metrology.noise import Noise
 from measure.results import Run, Summary
 from measure.results.pose_table import noise_about, noise_at_rest, poses_of
+from measure.results.rig_changes import moved_by
 from measure.results.summary import WHICH_ACCURACY
 from measure.results.tables import texts
 from measure.session import dump_toml
@@ -392,18 +393,19 @@ def _states(run: Run) -> tuple[Ints, list[str], list[str]]:
 
 
 def _add_moves(page: Page, run: Run) -> None:
-    """Cameras that were moved meanwhile, and from when to when they were left out."""
+    """Cameras that were moved meanwhile, or drifted, and where they stood when."""
     if not run.camera_moves:
         return
     begun = run.times_s[0]
     page.table(
         "Cameras that were moved",
         "When each was moved, from when on it was used again where it stood then, and how far that "
-        "is from where it was before. `run.toml` has its new pose with the covariance.",
+        "is from where it was before. One that drifts is followed in steps, from the first to the "
+        "last, and never left out. `run.toml` has the new poses with their covariance.",
         ("camera", "moved at s", "used again at s", "shift mm", "turn deg", "its SD deg"),
         [
             (
-                one.camera,
+                f"{one.camera}, which drifts" if one.drifted else one.camera,
                 one.since_s - begun,
                 None if one.until_s is None else one.until_s - begun,
                 *(one.shift_mm, one.turn_deg, one.turn_sd_deg),
@@ -411,6 +413,30 @@ def _add_moves(page: Page, run: Run) -> None:
             for one in run.camera_moves
         ],
     )
+    page.figures(
+        "Where cameras stood",
+        "How far each was moved from where it was calibrated, and turned, as the poses use it; "
+        "grey: plus and minus a standard deviation. A gap: it was left out.",
+        *(_ways(run, k, label) for k, label in enumerate(("shift [mm]", "turn [deg]"))),
+    )
+
+
+def _ways(run: Run, which: int, label: str) -> go.Figure:
+    """How far cameras were shifted (0) or turned (1) over time, plus and minus an SD."""
+    curves = dict[str, Floats]()
+    for camera in run.cameras:
+        way, name = np.zeros((run.poses.num_rows, 2)), camera.name
+        own = [change for change in run.camera_changes if change.camera == name]
+        for change in own:
+            way[change.frame_set :] = np.nan
+            if (pose := change.world_from_camera) is not None:
+                far = moved_by(pose, camera.world_from_camera, change.covariance)
+                way[change.frame_set :] = far[which]
+        if own:
+            size, sd = way.T
+            curves |= {name: size, f"{name} + SD": size + sd, f"{name} - SD": size - sd}
+    edges = {name: "#9aa5b1" for name in curves if name.endswith(" SD")}
+    return figures.over_time(since_start(run), curves, label, edges)
 
 
 def _add_distances(page: Page, run: Run) -> None:
