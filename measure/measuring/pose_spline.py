@@ -11,16 +11,19 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from measure.arrays import Floats, stacked
 from measure.geometry import RigidTransform
 from measure.limits import MAX_PAUSE_S
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.model import Motion, Pose
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 REACH = 3
 """Poses on either side: the fourth would change a slope by 2 % of its own noise."""
@@ -69,6 +72,8 @@ def motion_at(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> Spli
     knots, own = [*before, pose, *after], len(before)
     if len(knots) < 2:
         return None
+    from scipy.interpolate import CubicSpline  # slow to load; images of one instant need none
+
     lead_s = np.array([knot.time_s - pose.time_s for knot in knots])
     rotations, translations = zip(
         *((knot.world_from_body.rotation, knot.world_from_body.translation) for knot in knots),

@@ -1,14 +1,8 @@
-"""The run folder: written row by row, read back, evaluated, exported."""
+"""The run folder: written row by row, read back, evaluated, exported.
 
-from measure.results.evaluation import RunEvaluation, evaluate
-from measure.results.folder import check_run_folder
-from measure.results.provenance import Provenance, digest, versions
-from measure.results.run import Run, read_run, read_runs
-from measure.results.single_errors import Marks, read_marks
-from measure.results.summary import Summary
-from measure.results.writer import RunWriter
+What the names are stands in `__init__.pyi`; each loads when it is asked for.
+"""
 
-__all__ = [
-    "Marks", "Provenance", "Run", "RunEvaluation", "RunWriter", "Summary", "check_run_folder",
-    "digest", "evaluate", "read_marks", "read_run", "read_runs", "versions",
-]  # fmt: skip
+from measure.lazily import load_lazily
+
+__all__ = load_lazily(__name__)

@@ -261,6 +261,7 @@ def test_a_run_imports_no_more_than_it_uses():
     assert "measure.measuring.pipeline" in modules
     assert not modules & {
         "scipy.signal", "scipy.stats", "rerun", "plotly", "torch", "onnxruntime",
+        "scipy.optimize", "scipy.interpolate", "pandas", "measure.results.evaluation",
         "measure.calibration", "measure_studio.capture", "measure.simulation",
     }  # fmt: skip
 
