@@ -87,7 +87,8 @@ class RunWriter:
         self._columns = {"poses": csv_columns(several)}
         self._columns |= {"relative": RELATIVE_COLUMNS} if relative else {}
         self._resume, self._overwrite, self._clock = resume, overwrite, clock
-        self._tables = {name: schema.empty_table() for name, schema in self._schemas.items()}
+        # Not `schema.empty_table()`, which loads pandas: that can wait until a row is written.
+        self._tables = {n: pa.Table.from_batches([], one) for n, one in self._schemas.items()}
         self.kept = self._frame_sets = 0
         self.camera_changes: tuple[CameraChange, ...] = ()  # that hold for the frame sets so far
         self._lock: FolderLock | None = None
