@@ -71,9 +71,9 @@ def _blocks(picture: Singles, channel: int, center: Floats) -> Floats:
     # What the channel changes by for a unit of magnification.
     change = -(slope_x * x + slope_y * y[:, None])
     parts = [_split(part) for part in (green, seen, change)]
-    gg, cc, jj = (np.var(part, axis=1) for part in parts)
     g, c, j = (part - part.mean(axis=1, keepdims=True) for part in parts)
-    gc, gj, cj = (np.mean(a * b, axis=1) for a, b in ((g, c), (g, j), (c, j)))
+    products = ((g, g), (c, c), (j, j), (g, c), (g, j), (c, j))
+    gg, cc, jj, gc, gj, cj = (np.einsum("ij,ij->i", a, b) / _BLOCK**2 for a, b in products)
     with np.errstate(divide="ignore", invalid="ignore"):
         information, right = jj - gj**2 / gg, cj - gj * gc / gg
         unexplained = cc - gc**2 / gg - right**2 / information
