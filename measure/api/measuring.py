@@ -22,6 +22,7 @@ from measure.session import Session
 
 RUN_UP_S = 3.0
 """What trackers know at any time they have from little more than the last seconds."""
+_FEW_AHEAD = 2  # Frame sets decoded ahead in the burn-in: it ends after some, and begins again
 _RECALLED = 4
 """Power of two up to which the burn-in reaches; and enough frame sets for a ball to be found."""
 
@@ -130,7 +131,7 @@ def calibrated_pipeline(
     """
     pipeline = warm_pipeline(profile, registry, body or session.body, session.cameras)
     build = partial(build_pipeline, profile, registry)
-    return calibrated(pipeline, build, partial(session.frame_sets, start=start))
+    return calibrated(pipeline, build, partial(session.frame_sets, _FEW_AHEAD, start))
 
 
 def live_pipelines(

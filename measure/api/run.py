@@ -220,7 +220,7 @@ def _without_color(session: Session) -> list[Finding]:
     """One for each camera whose first pictures have no colour, though they have channels."""
     count = ColorCount()
     with suppress(MeasureError):
-        for frame_set in islice(session.frame_sets(), _FIRST_FRAME_SETS):
+        for frame_set in islice(session.frame_sets(1), _FIRST_FRAME_SETS):
             count.add(frame_set)
     return count.findings()
 
