@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import gc
 import os
 import re
 import signal
@@ -197,6 +198,7 @@ def _dispatch(tokens: list[str]) -> int:
                 f"this process may have {limit / 1e9:.1f} GB of address space (`ulimit -v`), and "
                 f"{_LEAST_ADDRESS_BYTES / 1e9:.1f} GB are needed: raise that limit"
             )
+        gc.freeze()  # What is imported stays; looking through it again took 0.2 s of a run
         result = command(*bound.args, **bound.kwargs, **injected)
         return result if isinstance(result, int) else DONE
 
