@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 BOUNDS = {
-    "code": 58_040,  # 42,000 is wanted
-    "core": 30_860,  # 23,000 is wanted
+    "code": 58_045,  # 42,000 is wanted
+    "core": 30_865,  # 23,000 is wanted
     "tests": 44_065,  # lines of their files; 31,000 is wanted
 }
 NO_CODE = {

@@ -12,15 +12,19 @@ import stat
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
 from multiprocessing.connection import wait
 from threading import Thread
 from types import FrameType, TracebackType
-from typing import Any, Protocol
+from typing import Any, ParamSpec, Protocol, TypeVar
 
 from measure.errors import ConfigError, MeasureError
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class Progress(Protocol):
@@ -184,6 +188,10 @@ def unwound_by_signals() -> Iterator[None]:
 class _Pool(ProcessPoolExecutor):
     """One whose processes are ended when its block is interrupted, with what they are at."""
 
+    def submit(self, job: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        """Run a job in one of the processes, which ends if it is ended meanwhile."""
+        return super().submit(_or_ended, partial(job, *args, **kwargs))
+
     def __exit__(
         self,
         kind: type[BaseException] | None,
@@ -226,6 +234,16 @@ def _unwind(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
     """End a worker; what it is at gives up its locks first."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     sys.exit(128 + number)
+
+
+def _or_ended(job: Callable[[], R]) -> R:
+    """What a job returns; a process of a pool would outlive `_unwind`, and wait for other jobs."""
+    try:
+        return job()
+    except SystemExit as end:
+        if signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:
+            os._exit(end.code if isinstance(end.code, int) else 1)
+        raise
 
 
 def _wait_for_parent() -> None:

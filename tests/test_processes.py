@@ -42,15 +42,19 @@ def ends_with_parent(tmp_path, module, name, within_s):
     return bool(ended)
 
 
-def once_killed(mark):
+def once_killed(mark, other):
     if not mark.exists():
         mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
+        while not other.exists():
+            time.sleep(0.01)
+        if mark.name == "a":
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(60)  # ended with its pool
     return mark.name
 
 
 def test_a_job_whose_process_is_killed_is_begun_again(tmp_path):
-    jobs = [partial(once_killed, tmp_path / name) for name in "ab"]
+    jobs = [partial(once_killed, tmp_path / name, tmp_path / other) for name, other in ("ab", "ba")]
     assert dict(spread(jobs, Workers(2))) == {0: "a", 1: "b"}
 
 
