@@ -16,7 +16,7 @@ from pathlib import Path
 BOUNDS = {
     "code": 58_045,  # 42,000 is wanted
     "core": 30_865,  # 23,000 is wanted
-    "tests": 44_065,  # lines of their files; 31,000 is wanted
+    "tests": 44_066,  # lines of their files; 31,000 is wanted
 }
 NO_CODE = {
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
