@@ -71,10 +71,11 @@ def keep_cameras(
     earlier: Sequence[CameraChange] = (),
     start: int = 0,
 ) -> None:
-    """Let pipelines notice cameras that are moved, and bring them back but to "warn".
+    """Let pipelines notice cameras that are moved.
 
     Args:
-        keep: only to "follow" are cameras followed that drift.
+        keep: "warn" only notices them. Otherwise those that were knocked are brought back; "follow"
+            also follows those that drift.
         earlier: what was noticed before frame set `start`.
     """
     one = pipelines[0]

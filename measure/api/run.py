@@ -39,8 +39,8 @@ class RunOptions(LogOptions):
     body: Path | Sequence[Path] | None = None
     # name of the body that the others are measured relative to, instead of the session's.
     reference: str | None = None
-    # what is done about cameras that are moved meanwhile; None: they are followed, where they can,
-    # but for those that drift.
+    # what is done about cameras that are moved meanwhile; None: those that were knocked are brought
+    # back, where they can be, and those that drift are named.
     keep_calibration: Keep | None = None
 
     def open(self, session: Path) -> Session:

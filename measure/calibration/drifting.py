@@ -1,8 +1,8 @@
 """A camera that drifts while a body is measured: followed in steps.
 
-What a camera has shown of late is compared with what it showed at first. All that may be off with
-the rig (`Evidence`) is free, but the same throughout: only what has changed since tells. It must be
-more than what balls seem displaced by from place to place.
+What a camera has shown lately is compared with what it showed at first. All that may be wrong with
+the rig (`Evidence`) is free, but constant: only a change since then counts. It must be larger than
+the displacement of balls by their shading, which differs from place to place.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from measure.measuring import Measurement
 from measure.measuring.kept_rig import CameraChange
 from measure.model import Body, Camera
 
-_WINDOW_S, _STEP_S = 5.0, 1.0  # Of what was seen at first, and of late; and between two looks
+_WINDOW_S, _STEP_S = 5.0, 1.0  # Length of both windows, first and latest; and between two looks
 _SURE, _CLEAR = 1 - 1e-6, 16.0
 """Confidence that a camera stands elsewhere than at first, and by how much more in chi-square than
 any other."""
@@ -43,7 +43,7 @@ class DriftWatch:
 
     def add(self, measured: Measurement, cameras: Sequence[Camera]) -> CameraChange | None:
         """Take a measurement with these cameras; gives where one of them stands now."""
-        if cameras is not self._cameras:  # What was seen of late says nothing of where they stand
+        if cameras is not self._cameras:  # The window holds pictures of other poses
             self._cameras, self._latest = cameras, []
         self._latest.append(measured)
         since_s = self._latest[0].time_s
@@ -63,7 +63,7 @@ class DriftWatch:
         camera = cameras[first]
         pose = altered(camera, np.pad(step, (0, PER_CAMERA - 6))).world_from_camera
         axes = np.kron([[0, 1], [1, 0]], camera.world_from_camera.rotation)
-        # It goes on to drift: until the next step it may be off by as much.
+        # It drifts on: until the next step it may be off by as much.
         covariance = axes @ (known + np.outer(step, step)) @ axes.T
         if (stated := self._stated[camera.name]) is not None:
             covariance += stated

@@ -31,9 +31,9 @@ class _ExecutionOptions:
         workers: how many processes measure several sessions side by side, as many as there are
             cores if omitted; or stretches of a long one, which this process measures if omitted.
         cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do so instead.
-        keep_calibration: a camera that is moved meanwhile is left out and brought back (as if
-            omitted), followed too where it drifts (`follow`), named (`warn`), or measured with as
-            it is (`off`).
+        keep_calibration: if omitted, a camera that is moved meanwhile is left out and brought back;
+            `follow` also follows one that drifts; `warn` only names it; `off` measures with it as
+            it is.
     """
 
     resume: bool = False

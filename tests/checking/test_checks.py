@@ -80,7 +80,7 @@ def test_coverage_counts_what_is_hidden():
 
 
 def test_balls_behind_others_are_counted_and_longer_arms_are_weighed():
-    """The shares by rays through points of each ball; cam0 looks along the line of two balls."""
+    """Against rays through points of each ball: from cam0, two balls are partly behind others."""
     camera, line = CAMERAS["cam0"], RAVEN.with_centers(RAVEN.centers * [[1], [1], [0]])
     rng, turned = np.random.default_rng(0), RigidTransform.from_rotvec([0.3, 0.5, 0.1], TARGET)
     places = turned.apply(line.centers)

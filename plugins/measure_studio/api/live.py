@@ -45,8 +45,8 @@ class LiveOptions(recording.CaptureOptions, LogOptions, SendOptions):
     record: Path | None = None  # a session folder to record the pictures into as well
     reference: str = ""  # name of the body that others are measured relative to; empty without one
     marks: tuple[str, ...] = ()  # where event marks come from, see `marks_received`
-    # what is done about cameras that are moved meanwhile; None: they are followed, where they can,
-    # but for those that drift.
+    # what is done about cameras that are moved meanwhile; None: those that were knocked are brought
+    # back, where they can be, and those that drift are named.
     keep_calibration: Keep | None = None
     # called with what is done next, before the first pose.
     on_step: Callable[[str], None] = lambda _: None

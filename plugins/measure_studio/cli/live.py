@@ -65,9 +65,9 @@ def live(
     Args:
         cameras: NAME=ADDRESS each, two at least, as for `measure record`.
         calibration: the cameras' calibration.
-        keep_calibration: a camera that is moved meanwhile is left out and brought back (as if
-            omitted), followed too where it drifts (`follow`), named (`warn`), or measured with as
-            it is (`off`).
+        keep_calibration: if omitted, a camera that is moved meanwhile is left out and brought back;
+            `follow` also follows one that drifts; `warn` only names it; `off` measures with it as
+            it is.
     """
     schemes = {address.partition(":")[0] for address in to.send}
     ours = tuple(text for text in method.set_ if text.partition(".")[0] in schemes)
