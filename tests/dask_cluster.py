@@ -18,7 +18,7 @@ class Cluster:
         file = folder / "scheduler.json"
         common = ["--scheduler-file", str(file), "--no-dashboard", "--host", "127.0.0.1"]
         self.scheduler = _start("scheduler", *common, "--port", "0", log=folder / "scheduler.log")
-        wait_for(file.exists, self.scheduler)
+        wait_for(lambda: file.exists() and file.stat().st_size, self.scheduler)  # is written
         common += ["--nthreads", "1", "--no-nanny", "--local-directory", str(folder)]
         self.workers = [_start("worker", *common, log=folder / f"worker{k}.log") for k in range(2)]
         self.address = json.loads(file.read_text())["address"]
