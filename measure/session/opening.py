@@ -69,6 +69,8 @@ class CameraTable(FileModel):
     def _one_source(self) -> CameraTable:
         if (self.images is None) == (self.video is None):
             raise ValueError(f"camera '{self.name}' needs either images or video")
+        if self.video is not None and "*" in self.video:
+            raise ValueError(f"'{self.video}' are several files: name pictures by the key images")
         return self
 
 

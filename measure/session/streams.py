@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -293,7 +294,16 @@ def open_image_stream(
 
 def _form(name: str, file: Path) -> tuple[tuple[int, int], int | None]:
     where = f"camera '{name}': "
+    if _is_video(file):
+        raise SessionError(f"{where}{file} is a video: name it by the key video, not images")
     return pictures.picture_form(pictures.picture_bytes(file, where), f"{where}{file}")
+
+
+def _is_video(file: Path) -> bool:
+    with suppress(OSError), file.open("rb") as opened:
+        head = opened.read(12)
+        return head[4:8] == b"ftyp" or head[:4] == b"\x1aE\xdf\xa3" or head[8:] == b"AVI "
+    return False
 
 
 def _find(name: str, folder: Path, pattern: str) -> list[Path]:

@@ -23,10 +23,11 @@ from measure.neighbours import lacking
 from measure.reading import check_ordinary
 from measure.session.damage import refuse_truncated
 from measure.session.formats import able
-from measure.session.pictures import decode_picture, most_pixels, refuse_huge
+from measure.session.pictures import decode_picture, most_pixels, picture_size_wh, refuse_huge
 from measure.session.streams import Stream, turned_notes
 from measure.session.timestamps import Stamps
 
+_HEAD_BYTES = 65536
 _COUNTED_CONTAINERS = ("avi",)
 """These store no presentation time: the n-th picture shown gets the n-th time."""
 _CONTAINERS = (
@@ -204,10 +205,18 @@ def _open(path: Path, where: str) -> Any:
     try:
         return av.open(str(path), options={"format_whitelist": _CONTAINERS}, timeout=_PATIENCE_S)
     except (av.error.FFmpegError, OSError) as problem:
+        if path.is_file() and picture_size_wh(_head(path)):
+            text = "is a picture: name pictures by the key images, not video"
+            raise SessionError(f"{where}{path} {text}") from None
         raise SessionError(
             f"{where}{path}: not a video that can be read, or its recording was cut off "
             f"({_reason(problem)}): copy it again from where it was recorded, or record it anew"
         ) from None
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(_HEAD_BYTES)
 
 
 def _is_turned(path: Path, where: str) -> bool:

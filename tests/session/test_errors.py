@@ -43,6 +43,18 @@ CASES: dict[str, Case] = {
         replace("session.toml", "images =", "image ="),
         "session.toml:8: unknown key 'cameras[0].image'; did you mean images?",
     ),
+    "a video named as pictures": (
+        lambda r: (_video(r, 6), r.replace("session.toml", "video =", "images =")),
+        "cam1.mp4 is a video: name it by the key video, not images",
+    ),
+    "a picture named as a video": (
+        replace("session.toml", 'images = "cam1/*.jpg"', 'video = "cam1/000000.jpg"'),
+        "000000.jpg is a picture: name pictures by the key images, not video",
+    ),
+    "pictures named as a video": (
+        replace("session.toml", 'images = "cam1/*.jpg"', 'video = "cam1/*.jpg"'),
+        "'cam1/*.jpg' are several files: name pictures by the key images",
+    ),
     "no name for pictures": (
         replace("session.toml", "cam1/*.jpg", ""),
         "session.toml:13: 'cameras[1].images': string should have at least 1 character, got ''",
