@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 import measure
 from measure.api.outputs import check_apart, output
@@ -26,13 +28,25 @@ from measure.calibration import (
     write_sheet,
 )
 from measure.calibration.common_views import board_frame as board_frame_of
-from measure.calibration.targets import read_board_file
+from measure.calibration.printing import body_sheet
+from measure.calibration.targets import kind_of, read_board_file
+from measure.checking.coverage import HIDDEN_SHARE, hidden_share, longer_arms
 from measure.errors import ConfigError
 from measure.geometry import UncertainTransform
-from measure.model import Camera, paper_body
+from measure.model import Body, Camera, paper_body
 from measure.processes import Progress, quiet
-from measure.session import Calibration, check_unit, dump_toml, read_body, write_calibration
+from measure.results.pose_table import poses_of
+from measure.results.run import Run, read_run
+from measure.session import (
+    Calibration,
+    check_unit,
+    dump_toml,
+    read_body,
+    write_body,
+    write_calibration,
+)
 
+_POSES_LOOKED_AT = 60
 _PRINTED_SHARE = 0.15  # A4 for Letter is 6 %; more is another board
 
 
@@ -125,20 +139,50 @@ def write_judged(
 
 
 def draw_target(
-    target: Path | str, out: Path | str | None = None, overwrite: bool = False
+    target: Path | str,
+    out: Path | str | None = None,
+    overwrite: bool = False,
+    run: Path | None = None,
 ) -> tuple[Sheet, Path]:
     """Draw a target file as a printable sheet; gives the sheet and the file written.
+
+    A body for the views of a run gets arms with which its balls seldom hide each other, and its
+    body file is written beside the sheet.
 
     Args:
         target: TOML of a chessboard, ChArUco board, marker field or body: its path, or the name of
             one that comes with the program (see `shipped_targets`).
         out: .pdf or .svg; the target's name with .pdf in the current folder if omitted.
+        run: of a body like this one, by the cameras that are to see it.
     """
     written = Path(out or f"{Path(target).stem}.pdf")
-    with output(written, overwrite) as file:
-        sheet = target_sheet(find_target(Path(target)))
+    with output(written, overwrite, beside=[".toml"] if run else []) as file:
+        place = find_target(Path(target))
+        if run is None:
+            sheet = target_sheet(place)
+        elif kind_of(place) != "body":
+            raise ConfigError(f"{place} is no body: --run makes a body's arms longer")
+        else:
+            body, note = _with_seldom_hidden_balls(read_body(place), read_run(run))
+            sheet = replace(body_sheet(body), note=note)
+            write_body(file.with_suffix(".toml"), body, comment=note)
         write_sheet(sheet, file)
     return sheet, written
+
+
+def _with_seldom_hidden_balls(body: Body, run: Run) -> tuple[Body, str]:
+    """The body with arms long enough for where a run has seen it, and what that changes."""
+    poses = poses_of(run)
+    if not len(poses):
+        raise ConfigError(f"{run.path}: no pose in it says where the cameras see the body")
+    some = np.unique(np.linspace(0, len(poses) - 1, _POSES_LOOKED_AT).astype(int))
+    views = [poses.world_from_body[int(k)] for k in some], body, run.cameras
+    now = f"balls are partly behind another one of the body in {hidden_share(*views):.0%} of views"
+    if longer := longer_arms(*views):
+        return longer.body, f"{now}: {longer}"
+    if hidden_share(*views) > HIDDEN_SHARE:
+        raise ConfigError(f"{now}, and with arms three times as long hardly fewer: move cameras")
+    return body, f"{now}: its arms are long enough"
 
 
 def shipped_targets() -> dict[str, Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +22,9 @@ _MIN_SEEN_SHARE = 0.5
 _MAX_CHANCE_SHARE = 0.1  # Of frame sets with a pose, a second body or a reflection by chance
 _MIN_ANGLE_DEG = 20.0
 _GRID = (-1.0, 0.0, 1.0)
-_HIDDEN_SHARE = 0.15  # Of views, from which on another ball in front is worth knowing
+HIDDEN_SHARE = 0.15  # Of views, from which on another ball in front is worth knowing
 _BEHIND = 2.0  # Error of a centre behind another ball over that of others: 1.4 to 2.9 in renders
-_ARMS = 1.25, 1.5, 2.0, 3.0  # Times as long
+_ARMS = 1.25, 1.5, 1.75, 2.0, 2.5, 3.0  # Times as long
 
 
 @dataclass(frozen=True)
@@ -95,29 +96,65 @@ def coverage_findings(
     return table, findings
 
 
+class Arms(NamedTuple):
+    """A body whose balls are `times` as far from their middle, and what that changes."""
+
+    body: Body
+    times: float
+    hidden: tuple[float, float]  # share of views partly behind another ball, now and with them
+    noise: Floats  # (2,) of position and of rotation, per that of now
+
+    def __str__(self) -> str:
+        return (
+            f"with arms {self.times:g} times as long it would be {self.hidden[1]:.0%}, and the "
+            f"position {self.noise[0]:.2f} and the rotation {self.noise[1]:.2f} times as noisy "
+            "(by geometry)"
+        )
+
+
+def hidden_share(poses: Sequence[RigidTransform], body: Body, cameras: Sequence[Camera]) -> float:
+    """Share of views of a ball in which another one of the body hides a part of it."""
+    views = [c.hides(p.apply(body.centers), body.radii, 1.0) for p in poses for c in cameras]
+    return float(np.mean(np.any(views, axis=2)))
+
+
+def longer_arms(
+    poses: Sequence[RigidTransform], body: Body, cameras: Sequence[Camera]
+) -> Arms | None:
+    """The shortest arms with which balls hide each other in few views; None if they do, or never.
+
+    Balls move away from the body's origin where that is among them, else from their middle.
+
+    Args:
+        poses: world_from_body.
+    """
+
+    def noise(one: Body) -> Floats:
+        each = [noise_sd(pose, one, cameras, 1.0, _BEHIND) for pose in poses]
+        return np.asarray(np.median(each, axis=0))
+
+    if (now := hidden_share(poses, body, cameras)) <= HIDDEN_SHARE:
+        return None
+    reach = np.linalg.norm(body.centers - body.middle, axis=1).max()
+    pivot = np.zeros(3) if np.linalg.norm(body.middle) < reach else body.middle
+    for times in _ARMS:
+        one = body.with_centers(np.round(pivot + times * (body.centers - pivot), 1))
+        if (then := hidden_share(poses, one, cameras)) < HIDDEN_SHARE:
+            ratio = noise(one) / noise(body)
+            return Arms(one, times, (now, then), ratio) if np.isfinite(ratio).all() else None
+    return None
+
+
 def _hiding(
     samples: Sequence[SearchSample], body: Body, cameras: Sequence[Camera]
 ) -> Iterator[Finding]:
     """What longer arms would give where balls of the body are often behind others."""
     poses = [s.world_from_body for s in samples if s.world_from_body is not None]
-
-    def with_arms(times: float) -> tuple[float, Floats]:
-        """Share of views partly behind another ball, and the pose's SD (2,), mm and deg per px."""
-        one = body.with_centers(body.middle + times * (body.centers - body.middle))
-        views = [c.hides(p.apply(one.centers), one.radii, 1.0) for p in poses for c in cameras]
-        sd = [noise_sd(pose, one, cameras, 1.0, _BEHIND) for pose in poses]
-        return float(np.mean(np.any(views, axis=2))), np.median(sd, axis=0)
-
-    if not poses or (now := with_arms(1.0))[0] <= _HIDDEN_SHARE:
+    if not poses or (now := hidden_share(poses, body, cameras)) <= HIDDEN_SHARE:
         return
-    text = f"balls are partly behind another one of the body in {now[0]:.0%} of their views"
-    longer = ((times, *with_arms(times)) for times in _ARMS)
-    best = next((one for one in longer if one[1] < _HIDDEN_SHARE), None)
-    if best and np.isfinite(ratio := best[2] / now[1]).all():
-        text += (
-            f": with arms {best[0]:g} times as long it would be {best[1]:.0%}, and the position "
-            f"{ratio[0]:.2f} and the rotation {ratio[1]:.2f} times as noisy (by geometry)"
-        )
+    text = f"balls are partly behind another one of the body in {now:.0%} of their views"
+    if longer := longer_arms(poses, body, cameras):
+        text += f": {longer}; `measure target BODY --run RUN` draws it"
     yield Finding(Level.NOTE, "body", text)
 
 

@@ -14,6 +14,7 @@ def target(
     /,
     *,
     out: OutFile | None = None,
+    run: Path | None = None,
     overwrite: Overwrite = False,
     json: JsonFlag = False,
 ) -> None:
@@ -23,8 +24,11 @@ def target(
         target_file: TOML of the target, or the name of one that comes with the program:
             charuco_8x5_27, chessboard_9x6_25, raven_markers_16, raven_three_ball.
         out: .pdf or .svg to write; the target's name with .pdf in this folder if omitted.
+        run: a run of a body like TARGET_FILE: its arms are made so long that its balls hide each
+            other in less than 15 % of the views there, and its body file is written beside the
+            sheet.
     """
-    sheet, written = draw_target(target_file, out, overwrite)
+    sheet, written = draw_target(target_file, out, overwrite, run)
     width, height = sheet.size_mm
     if json:
         size = [width, height]
