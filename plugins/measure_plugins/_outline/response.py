@@ -221,8 +221,13 @@ def _plain_misfit(patch: BallPatch, appearance: Appearance) -> float:
 
 def useful_patches(patches: Sequence[BallPatch]) -> list[BallPatch]:
     """Those with enough clear rays; none if there are too few of them."""
-    useful = [s for s in patches if np.count_nonzero(s.rays.status == CLEAR) >= _MIN_RAYS]
+    useful = clear_patches(patches)
     return useful if len(useful) >= _MIN_PATCHES else []
+
+
+def clear_patches(patches: Sequence[BallPatch]) -> list[BallPatch]:
+    """Those with enough clear rays."""
+    return [s for s in patches if np.count_nonzero(s.rays.status == CLEAR) >= _MIN_RAYS]
 
 
 def _without_clipped(patch: BallPatch) -> BallPatch:

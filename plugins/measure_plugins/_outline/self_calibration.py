@@ -50,6 +50,7 @@ from measure_plugins._outline.response import (
     as_stated,
     bent_appearance,
     choose_grazing_reflection,
+    clear_patches,
     grouped_inputs,
     misfits,
     refined_bends,
@@ -196,8 +197,10 @@ def has_common_response(estimates: Sequence[AppearanceEstimate]) -> bool:
 
 _FIRST_ESTIMATE = 2  # Number of the picture of the first estimate; the one before is only kept
 _INTERVAL_FACTOR = 4
-"""Each estimate waits for this many times as many pictures as the one before: light and exposure
-may change, but estimates must take little of the whole time."""
+"""After each time that an estimate is due, the next is after this many times as many pictures."""
+_GROWN = 1.2
+"""Misfit of the last picture, per that of the last estimate, above which another is made: light and
+exposure may change. Under the same light it is 0.85 to 1.16, and estimating again gains nothing."""
 _GAP_PICTURES = 8
 """Pictures without balls that count as well if they are more, once there have been estimates: light
 changes with time, and a run that is resumed sees few of those before."""
@@ -223,7 +226,7 @@ class SelfCalibration:
         self._patches: deque[list[BallPatch]] = deque(maxlen=_KEPT_IMAGES)
         self._estimates, self._latest_s = 0, -np.inf
         self._estimate: AppearanceEstimate | None = None
-        self._assume_bent = False
+        self._assume_bent, self._misfit = False, 0.0  # at the last estimate
         self._others: list[AppearanceEstimate] = []
 
     @property
@@ -282,7 +285,10 @@ class SelfCalibration:
         self._patches.append([self._patch(pixels, cone, (*seen, *others)) for cone in seen])
         if self._count < self._due:
             return None
-        self._due, self._estimates = _INTERVAL_FACTOR * self._count, self._estimates + 1
+        self._due = _INTERVAL_FACTOR * self._count
+        if self.settled and not _typical_misfit(self._patches[-1], now) > _GROWN * self._misfit:
+            return None
+        self._estimates += 1
         return self._estimation(now)
 
     def _estimation(self, now: Appearance) -> Callable[[], Appearance]:
@@ -292,7 +298,11 @@ class SelfCalibration:
             self._estimate = estimate_appearance(
                 patches, now, self._world_from_camera, self._assume_bent
             )
-            return now if self._estimate is None else self._fused(self._estimate)
+            if self._estimate is None:
+                return now
+            fused = self._fused(self._estimate)
+            self._misfit = _typical_misfit(patches, fused)
+            return fused
 
         return run
 
@@ -324,6 +334,12 @@ class SelfCalibration:
         behind = ball_reflection_shares(balls_behind(rows[0], rows), frame, half_angle, rays.around)
         rays, scale_px = rays._replace(points=rays.points - corner), float(np.mean(scale))
         return BallPatch(part, rays, half_angle, scale_px, frame, behind, distance)
+
+
+def _typical_misfit(patches: Sequence[BallPatch], appearance: Appearance) -> float:
+    """Geometric mean of the misfits of patches with enough clear rays; NaN without any."""
+    clear = clear_patches(patches)
+    return float(np.exp(np.mean(np.log(misfits(clear, appearance))))) if clear else np.nan
 
 
 def _cut(pixels: Bytes, points: Floats) -> tuple[Bytes, Floats]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,25 @@ def test_pictures_are_measured_during_an_estimation(shown, monkeypatch):
     np.testing.assert_array_equal(live._appearance.point_lights, waiting._appearance.point_lights)
     # How looks answer was measured with one picture here, with another there.
     np.testing.assert_allclose(after, centers(waiting.detect(*pictures[FIRST_ESTIMATE])), atol=0.02)
+
+
+@pytest.mark.parametrize("relit", [False, True])
+def test_the_appearance_is_estimated_again_once_the_light_has_changed(shown, monkeypatch, relit):
+    scene, camera, pictures = shown
+    made, really = [], calibration.estimate_appearance
+    monkeypatch.setattr(
+        calibration, "estimate_appearance", lambda *given: made.append(1) or really(*given)
+    )
+    turned = [lamp.position_mm * [-1, -1, 1] for lamp in scene.lighting.lights]
+    lamps = map(lambda lamp, at: replace(lamp, position_mm=at), scene.lighting.lights, turned)
+    lighting = replace(scene.lighting, lights=tuple(lamps))
+    other = Renderer(replace(scene, lighting=lighting), camera.name)
+    detector = detector_of(scene, camera)
+    for k in range(32):
+        image, expected = pictures[k % 4]
+        pixels = other.picture(image.time_s, k) if relit and k == 31 else image.pixels
+        detector.detect(image_of(camera, pixels, k / 30), expected)
+    assert len(made) == 2 + relit
 
 
 def test_an_error_of_an_estimation_is_raised(shown, monkeypatch):
