@@ -14,13 +14,13 @@ what pictures err by, `cameras by the waved body` among the tests says more.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from benchmarks.command import run_command
 from measure.arrays import Floats
-from measure.calibration.board_views import lens_change
 from measure.calibration.by_body.adjustment import loose_prior, shape_of
 from measure.calibration.by_body.lenses import with_lens_kind
 from measure.calibration.common_views import shape_errors
@@ -44,16 +44,14 @@ def shape_error(given: Case, lenses_open: bool) -> tuple[float, int, float]:
     shape = shape_of(refinement, BODY, given.recording)
     world = shape.cameras[0].world_from_camera @ given.true[0].camera_from_world
     free = [camera.intrinsics.free for camera in shape.cameras]
-    columns = [refinement.columns[camera.name] for camera in shape.cameras]
     off = np.concatenate([
-        np.concatenate([
-            found.world_from_camera.difference(world @ true.world_from_camera),
-            lens_change(true, found)[lens],
-        ])
-        for found, true, lens in zip(shape.cameras, given.true, free, strict=True)
+        found.difference(
+            replace(true, world_from_camera=world @ true.world_from_camera)
+        )[found.free]
+        for found, true in zip(shape.cameras, given.true, strict=True)
     ])  # fmt: skip
     points = ball_places(given.recording.world_from_body, BODY.centers)
-    onto_shape, _, _ = shape_errors(shape.cameras, free, columns, points, with_scale=True)
+    onto_shape, _, _ = shape_errors(shape.cameras, free, points, with_scale=True)
     scale = 1 / np.sqrt(np.diag(shape.joint))
     variances, axes = np.linalg.eigh(shape.joint * np.outer(scale, scale))
     known = slice(_WORLD, None)

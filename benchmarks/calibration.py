@@ -23,7 +23,6 @@ import numpy as np
 
 from benchmarks.errors import body_cost
 from measure.calibration import Capture, calibrate_capture, open_capture
-from measure.calibration.board_views import intrinsics_vector
 from measure.calibration.extrinsics import fit_rig_with_boards
 from measure.calibration.procedure import RigCalibration
 from measure.geometry import RigidTransform
@@ -64,7 +63,7 @@ def plain_opencv(rig: RigCalibration, observations: RigObservations) -> tuple[Ca
         board = next(iter(rig.observations.boards.values())).points.astype(np.float32)
         views = lens.views.views
         _, matrix, distortion, _, _ = cv2.calibrateCamera(
-            [board] * len(views),
+            [board[v.ids] for v in views],
             [v.pixels.astype(np.float32) for v in views],
             lens.views.size_wh,
             None,
@@ -105,7 +104,7 @@ def print_cameras(name: str, found: tuple[Camera, ...], true: tuple[Camera, ...]
     """Each camera against the truth."""
     for camera, exact in zip(found, true, strict=True):
         error = exact.world_from_camera.difference(camera.world_from_camera)
-        focal = (intrinsics_vector(camera.intrinsics) - intrinsics_vector(exact.intrinsics))[:2]
+        focal = (camera.intrinsics.vector - exact.intrinsics.vector)[:2]
         nees = ""
         if camera.pose_covariance is not None:
             value = error @ np.linalg.solve(camera.pose_covariance, error) / 6

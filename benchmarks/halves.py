@@ -24,13 +24,13 @@ import numpy as np
 from benchmarks.errors import aligned_rms, body_cost
 from measure.arrays import rms_length
 from measure.calibration import Board, calibrate_capture, open_capture
-from measure.calibration.board_views import fit_lens, intrinsics_vector, start_intrinsics
+from measure.calibration.board_views import fit_lens, start_intrinsics
 from measure.calibration.common_views import fit_common_views, instant_of
 from measure.calibration.findings import workspace_of
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.least_squares import LeastSquaresSolution
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
+from measure.estimation.least_squares import LeastSquaresSolution
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, paper_body
 
@@ -50,7 +50,7 @@ def half(board: Board, whole: Lenses, chosen: set[int]) -> tuple[Camera, ...]:
 
 def normalised(one: Intrinsics, other: Intrinsics) -> float:
     """Squared difference of two lenses over its covariance, by parameter."""
-    off = intrinsics_vector(one) - intrinsics_vector(other)
+    off = one.vector - other.vector
     assert one.covariance is not None
     assert other.covariance is not None
     P = one.covariance + other.covariance

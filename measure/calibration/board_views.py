@@ -6,18 +6,19 @@ the world, and one pose of the board an instant. One camera by itself is the sim
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
-from measure.calibration import least_squares
 from measure.calibration.boards import Board, Corners
 from measure.errors import CalibrationError
+from measure.estimation.least_squares import LeastSquaresSolution, solve
 from measure.estimation.losses import Huber
-from measure.geometry import RigidTransform, skew
+from measure.estimation.rig_model import RigProblem, RigState, Views
+from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, Projection
 
 _NAMES: dict[Projection, str] = {
@@ -53,42 +54,6 @@ MODELS_OF: dict[Projection, tuple[LensModel, ...]] = {
     "pinhole": LENS_MODELS,
     "fisheye": tuple(LensModel(f"fisheye{k}", tuple(range(4 + k)), "fisheye") for k in range(5)),
 }
-
-
-def intrinsics_vector(intrinsics: Intrinsics) -> Floats:
-    """Fx fy cx cy and the eight distortion coefficients (12,)."""
-    m = intrinsics.matrix
-    return np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], intrinsics.distortion])
-
-
-def shifted(intrinsics: Intrinsics, free: tuple[int, ...] | Ints, increment: Floats) -> Intrinsics:
-    """The intrinsics with `increment` (len(free),) added to the free parameters."""
-    vector = intrinsics_vector(intrinsics)
-    vector[list(free)] += increment
-    matrix = intrinsics.matrix.copy()
-    matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2] = vector[:4]
-    return replace(intrinsics, matrix=matrix, distortion=vector[4:])
-
-
-def changed(camera: Camera, increment: Floats, free: tuple[int, ...] | Ints) -> Camera:
-    """The camera moved by the first six entries, its free lens parameters by the rest."""
-    return replace(
-        camera,
-        world_from_camera=camera.world_from_camera.perturb(increment[:6]),
-        intrinsics=shifted(camera.intrinsics, free, increment[6:]),
-    )
-
-
-def lens_change(first: Camera, now: Camera) -> Floats:
-    """Lens parameters (12,) of `now` less those of `first`."""
-    return intrinsics_vector(now.intrinsics) - intrinsics_vector(first.intrinsics)
-
-
-def stack(transforms: list[RigidTransform]) -> RigidTransform:
-    """A batch of single transforms."""
-    return RigidTransform(
-        np.stack([t.rotation for t in transforms]), np.stack([t.translation for t in transforms])
-    )
 
 
 _FISHEYE_WIDTHS_RAD = (0.6, 0.9, 1.3, 1.8, 2.4, 3.1)
@@ -202,86 +167,47 @@ def _start_pinhole(
     return Intrinsics(size_wh, _plain_matrix(size_wh, focal))
 
 
-@dataclass(frozen=True, eq=False)
-class CameraViews:
-    """The board as one camera saw it."""
+def fit_boards(
+    points: Floats,
+    cameras: tuple[Camera, ...],
+    world_from_board: RigidTransform,
+    views: Sequence[Mapping[int, Corners]],
+    sds_px: Sequence[float],
+    free: Sequence[Sequence[int]],
+    huber: float,
+) -> tuple[LeastSquaresSolution[RigState], list[Floats]]:
+    """Fit cameras, and poses of a board; the first camera's pose is held, for it is the world.
 
-    block: Ints  # (n,) number of each corner's instant
-    ids: Ints  # (n,) which of the board's corners
-    pixels: Floats  # (n, 2) where they appear
-    sd_px: float  # standard deviation of a corner's coordinate
-    free: Ints  # which lens parameters are unknown
+    Args:
+        points: (k, 3) the board's corners, mm.
+        cameras: to start with.
+        world_from_board: (f,) to start with, one an instant.
+        views: of each camera, by the number of the instant.
+        sds_px: of each camera, of a corner's coordinate.
+        free: of each camera, which lens parameters are unknown.
+        huber: how far the robust loss reaches in standard deviations; squares if infinite.
 
-    @classmethod
-    def of(
-        cls, views: Sequence[Corners], instants: Sequence[int], sd_px: float, free: Sequence[int]
-    ) -> CameraViews:
-        """Stack views, each of the instant of that number."""
-        return cls(
-            np.repeat(np.array(instants, dtype=np.int64), [len(view.ids) for view in views]),
-            np.concatenate([view.ids for view in views]),
-            np.concatenate([view.pixels for view in views]),
-            sd_px,
-            np.array(free, dtype=np.int64),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class BoardState:
-    """The unknowns."""
-
-    cameras: tuple[Camera, ...]
-    world_from_board: RigidTransform  # a batch, one an instant
-
-
-class BoardProblem:
-    """Least squares over all cameras and instants.
-
-    Attributes:
-        views: what each camera saw, in the order of the state's cameras.
-        columns: which shared unknowns are each camera's pose (of the first: none) and free lens
-            parameters.
+    Returns:
+        The solution, and by camera what is left of its corners (n, 2) px.
     """
-
-    def __init__(self, points: Floats, views: Sequence[CameraViews]) -> None:
-        take = least_squares.Columns()
-        self._points, self.views = points, views
-        self.columns = [take(6 * (k > 0) + len(seen.free)) for k, seen in enumerate(views)]
-        self._size = take.size
-
-    def solve(
-        self, start: BoardState, huber: float
-    ) -> least_squares.LeastSquaresSolution[BoardState]:
-        """Fit; the robust loss reaches to `huber` standard deviations, squares if infinite."""
-        loss = Huber(huber)
-        return least_squares.solve(self._linearise, self._step, start, loss)
-
-    def _linearise(self, state: BoardState) -> least_squares.Linearised:
-        groups = tuple(self._group(number, state) for number in range(len(self.views)))
-        blocks = len(state.world_from_board.translation)
-        nothing, no_rows = np.zeros(0), np.zeros((0, self._size))
-        return least_squares.Linearised(groups, self._size, blocks, nothing, no_rows)
-
-    def _step(self, state: BoardState, shared: Floats, blocks: Floats) -> BoardState:
-        parts = [shared[columns] for columns in self.columns]
-        parts[0] = np.concatenate([np.zeros(6), parts[0]])
-        own = zip(state.cameras, parts, self.views, strict=True)
-        cameras = tuple(changed(camera, part, seen.free) for camera, part, seen in own)
-        return BoardState(cameras, state.world_from_board.perturb(blocks))
-
-    def _group(self, number: int, state: BoardState) -> least_squares.Group:
-        seen, poses = self.views[number], state.world_from_board
-        turned = np.einsum("nij,nj->ni", poses.rotation[seen.block], self._points[seen.ids])
-        placed = turned + poses.translation[seen.block]
-        predicted, by_world, by_pose, by_lens = state.cameras[number].project_with_jacobians(placed)
-        shared = np.concatenate([by_pose, by_lens[:, :, seen.free]], axis=2)
-        return least_squares.Group(
-            (seen.pixels - predicted) / seen.sd_px,
-            self.columns[number],
-            (shared if number else shared[:, :, 6:]) / seen.sd_px,
-            seen.block,
-            np.concatenate([by_world, -by_world @ skew(turned)], axis=2) / seen.sd_px,
+    seen = [
+        Views(
+            number,
+            np.repeat([*mine], [len(view.ids) for view in mine.values()]),
+            np.concatenate([view.ids for view in mine.values()]),
+            np.concatenate([view.pixels for view in mine.values()]),
+            np.eye(2) / sd_px,
         )
+        for number, (mine, sd_px) in enumerate(zip(views, sds_px, strict=True))
+    ]
+    unknown = {
+        f"camera {camera.name}": np.array([*range(6 * (number > 0)), *(6 + k for k in own)], int)
+        for number, (camera, own) in enumerate(zip(cameras, free, strict=True))
+    }
+    start = RigState(cameras, world_from_board, {"points": points})
+    problem = RigProblem(start, seen, unknown, {}, own_poses=True)
+    solution = solve(problem.linearise, problem.step, start, Huber(huber))
+    return solution, problem.residuals_px(solution.state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,18 +238,17 @@ def fit_lens(
     huber: float = np.inf,
 ) -> SingleCameraFit:
     """Fit the free lens parameters and all board poses to corners (k, 3) mm, from a start."""
-    poses = stack([board_pose(start, points[v.ids], v.pixels) for v in views])
-    seen = CameraViews.of(views, range(len(views)), 1.0, model.free)
-    camera = Camera("", start, RigidTransform.identity())
-    solution = BoardProblem(points, [seen]).solve(BoardState((camera,), poses), huber)
+    poses = RigidTransform.stack([board_pose(start, points[v.ids], v.pixels) for v in views])
+    camera, seen = Camera("", start, RigidTransform.identity()), dict(enumerate(views))
+    solution, left = fit_boards(points, (camera,), poses, [seen], [1.0], [model.free], huber)
     sd = float(np.sqrt(solution.variance_factor))
     covariance = np.zeros((12, 12))
-    covariance[np.ix_(seen.free, seen.free)] = solution.covariance * max(
+    covariance[np.ix_(model.free, model.free)] = solution.covariance * max(
         sd**2, solution.clustered_factor
     )
     return SingleCameraFit(
         replace(solution.state.cameras[0].intrinsics, covariance=covariance),
-        solution.linearised.groups[0].residuals,
-        seen.block,
+        left[0],
+        solution.linearised.groups[0].instant,
         sd,
     )

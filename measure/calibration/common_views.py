@@ -11,20 +11,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from measure.arrays import Bytes, Floats, Ints, rms_length
-from measure.calibration.board_views import (
-    BoardProblem,
-    BoardState,
-    CameraViews,
-    board_pose,
-    stack,
-    unmirrored,
-)
+from measure.calibration.board_views import board_pose, fit_boards, unmirrored
 from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.least_squares import LeastSquaresSolution
 from measure.errors import CalibrationError
+from measure.estimation.least_squares import LeastSquaresSolution
 from measure.estimation.losses import HUBER_SIGMAS
-from measure.geometry import RigidTransform, UncertainTransform, chart_jacobian, skew
+from measure.estimation.rig_model import RigState
+from measure.geometry import RigidTransform, UncertainTransform, chart_jacobian
 from measure.limits import CLEAR_RATIO
 from measure.model import Camera, Intrinsics
 
@@ -60,18 +54,17 @@ def fit_common_views(
     }
     cameras, boards = _start(board, lenses, views)
     order = {instant: number for number, instant in enumerate(sorted(boards))}
-    seen = []
-    for name, lens in lenses.items():
-        mine = dict(sorted(views[name].items()))
-        instants = [order[instant] for instant in mine]
-        seen.append(CameraViews.of([*mine.values()], instants, lens.fit.sd_px, lens.model.free))
-    problem = BoardProblem(board.points, seen)
-    start = BoardState(cameras, stack([boards[instant] for instant in order]))
-    solution = problem.solve(start, HUBER_SIGMAS)
-    poses = solution.state.world_from_board
+    seen = [
+        {order[instant]: view for instant, view in sorted(views[name].items())} for name in lenses
+    ]
+    poses = RigidTransform.stack([boards[instant] for instant in order])
+    free = [lens.model.free for lens in lenses.values()]
+    sds_px = [lens.fit.sd_px for lens in lenses.values()]
+    solution, left = fit_boards(board.points, cameras, poses, seen, sds_px, free, HUBER_SIGMAS)
+    poses = solution.state.poses
     corners = np.einsum("fij,nj->fni", poses.rotation, board.points) + poses.translation[:, None]
     points = corners.reshape(-1, 3)
-    found, joint = _answer(solution, problem, points)
+    found, joint = _answer(solution, left, free, points)
     _check_instants(found, lenses)
     return found, points, joint
 
@@ -142,7 +135,9 @@ def _agreed_pose(
 ) -> tuple[RigidTransform, Ints]:
     """The pose of a camera on which most of its views agree, and each view's number of turns."""
     turns = [_turned(board.points, turn) for turn in board.turns]
-    guesses = stack([known @ t @ seen.inverse() for known, seen in pairs for t in turns])
+    guesses = RigidTransform.stack(
+        [known @ t @ seen.inverse() for known, seen in pairs for t in turns]
+    )
     here = np.stack([seen.apply(board.points) for _, seen in pairs])
     there = np.stack([[(known @ t).apply(board.points) for t in turns] for known, _ in pairs])
     placed = np.einsum("gab,fnb->gfna", guesses.rotation, here)
@@ -233,34 +228,36 @@ def _turned(points: Floats, turn: Ints) -> RigidTransform:
 
 
 def _answer(
-    solution: LeastSquaresSolution[BoardState], problem: BoardProblem, points: Floats
+    solution: LeastSquaresSolution[RigState],
+    left: Sequence[Floats],
+    free: Sequence[Sequence[int]],
+    points: Floats,
 ) -> tuple[tuple[Camera, ...], Floats]:
     """The cameras with their covariances, for positions (n, 3) in their view."""
-    cameras, free = solution.state.cameras, [seen.free for seen in problem.views]
+    cameras, lenses = solution.state.cameras, [np.array(own) for own in free]
     size = 6 + len(solution.covariance)
-    columns = np.split(np.arange(size), np.cumsum([6 + len(own) for own in free])[:-1])
     # The first camera is the world: of its pose, in the first rows, nothing is unknown.
     covariance = np.zeros((size, size))
     factor = max(solution.variance_factor, solution.clustered_factor, 1.0)
     covariance[6:, 6:] = factor * solution.covariance
-    shape, _, _ = shape_errors(cameras, free, columns, points)
+    shape, _, _ = shape_errors(cameras, lenses, points)
     covariance = shape @ covariance @ shape.T
-    rows = zip(cameras, columns, problem.views, solution.linearised.groups, strict=True)
+    rows = zip(cameras, columns_of(lenses), lenses, left, strict=True)
     out = tuple(
-        camera.with_covariance(
-            covariance[np.ix_(own, own)], seen.free, rms_length(g.residuals * seen.sd_px)
-        )
-        for camera, own, seen, g in rows
+        camera.with_covariance(covariance[np.ix_(own, own)], lens, rms_length(residuals))
+        for camera, own, lens, residuals in rows
     )
     return out, covariance
 
 
+def columns_of(free: Sequence[Ints]) -> list[Ints]:
+    """Where the pose and free lens parameters of each camera stand, camera after camera."""
+    ends = np.cumsum([6 + len(own) for own in free])
+    return np.split(np.arange(ends[-1]), ends[:-1])
+
+
 def shape_errors(
-    cameras: Sequence[Camera],
-    free: Sequence[Ints],
-    columns: Sequence[Ints],
-    points: Floats,
-    with_scale: bool = False,
+    cameras: Sequence[Camera], free: Sequence[Ints], points: Floats, with_scale: bool = False
 ) -> tuple[Floats, Floats, Floats]:
     """What errors of cameras and free lens parameters (p,) do to the rig's shape, and to the world.
 
@@ -273,6 +270,7 @@ def shape_errors(
         (p, p) that takes errors to those of the shape alone; (6, p) or (7, p) to the world's
         motion; and (p, 6) or (p, 7), what such a motion does to the cameras.
     """
+    columns = columns_of(free)
     size = sum(map(len, columns))
     normal, moved = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3, size))
     seen_by = np.zeros(len(points), dtype=np.int64)
@@ -369,8 +367,7 @@ def _covariance(board: Board, views: Sequence[_View], pose: RigidTransform) -> F
     for camera, seen in views:
         places = pose.apply(board.points[seen.ids])
         _, by_world, by_pose, by_lens = camera.project_with_jacobians(places)
-        turn = -by_world @ skew(places - pose.translation)
-        J = np.concatenate([by_world, turn], axis=2).reshape(-1, 6)
+        J = (by_world @ chart_jacobian(places - pose.translation)).reshape(-1, 6)
         normal += J.T @ J
         if camera.covariance is not None:
             K = np.concatenate([by_pose, by_lens], axis=2).reshape(len(J), -1)

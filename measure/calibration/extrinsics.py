@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, rms_length
-from measure.calibration.least_squares import LeastSquaresSolution, solve
-from measure.calibration.rig_problem import CORNERS, MARKS, RigProblem, RigState, lay_out
+from measure.estimation.least_squares import LeastSquaresSolution, root_information, solve
 from measure.estimation.losses import Huber
+from measure.estimation.rig_model import RigProblem, RigState, Views
+from measure.geometry import RigidTransform
 from measure.limits import MAX_STEPS
 from measure.model import (
     BoardObservation,
@@ -32,13 +33,14 @@ _HUBER = Huber(3.0)
 MIN_SD_PX = 0.02
 START_CORNER_SD_PX = 0.1
 START_MARK_SD_PX = 0.5
+_CORNERS, _MARKS = 0, 1  # The two kinds of observation, each with its own standard deviation
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointRigFit(RigFit):
     """All cameras fitted at once, to boards and marks."""
 
-    state: RigState  # the same cameras, and where markers and boards came out
+    state: RigState  # the same cameras, and where markers (first) and boards came out
     log_likelihood: float  # restricted, up to a constant: compares tolerances and weights
 
 
@@ -49,21 +51,20 @@ def fit_rig(
     mark_sd_px: float | None = None,
 ) -> JointRigFit:
     """Fit all cameras jointly, a lens within its covariance; without one it stays as it is."""
-    layout = lay_out(start, observations)
-    boards = {name: board.world_from_board for name, board in observations.boards.items()}
-    offsets = {name: np.zeros(2) for name in layout.offsets}
-    state = RigState(start, observations.markers, boards, offsets)
+    problem = _problem(start, observations)
+    state = problem.start
     sds = np.array([corner_sd_px or START_CORNER_SD_PX, mark_sd_px or START_MARK_SD_PX])
     fixed = np.array([corner_sd_px is not None, mark_sd_px is not None])
     for _ in range(MAX_STEPS):
-        problem = RigProblem(start, observations, layout, sds)
+        views = [replace(seen, root=np.eye(2) / sds[_kind(seen)]) for seen in problem.views]
+        problem = replace(problem, views=views)
         solution = solve(problem.linearise, problem.step, state, _HUBER)
         state = solution.state
-        estimated = _standard_deviations(solution, problem)
+        estimated = _standard_deviations(solution, problem, sds)
         if np.all(fixed | (np.abs(estimated / sds - 1) < 1e-3)):
             break
         sds = np.where(fixed, sds, estimated)
-    return _answer(solution, problem)
+    return _answer(solution, problem, sds, observations.tolerances)
 
 
 def located_by_marks(camera: Camera, points: Floats, marks: MarkerObservation) -> Camera:
@@ -74,61 +75,106 @@ def located_by_marks(camera: Camera, points: Floats, marks: MarkerObservation) -
     return replace(camera, world_from_camera=fitted.world_from_camera)
 
 
-def _standard_deviations(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> Floats:
+def _problem(start: tuple[Camera, ...], observations: RigObservations) -> RigProblem:
+    """What is seen and known beforehand; the first pose is the world's, which carries markers."""
+    tolerances, markers = observations.tolerances, observations.markers
+    views, points, poses = list[Views](), [markers], [RigidTransform.identity()]
+    free = {f"camera {camera.name}": camera.free for camera in start}
+    priors, values = dict[tuple[str, ...], Floats](), dict[str, Floats]()
+    for number, camera in enumerate(start):
+        name, lens = camera.name, camera.intrinsics.covariance
+        if lens is not None and len(own := camera.intrinsics.free):
+            root = root_information(lens[np.ix_(own, own)])
+            priors[f"camera {name}",] = np.pad(root, ((0, 0), (6, 0)))
+        if (board := observations.boards.get(name)) is not None:
+            ids = sum(map(len, points)) + np.arange(len(board.points))
+            views.append(Views(number, np.full(len(ids), len(poses)), ids, board.pixels))
+            points.append(board.points)
+            poses.append(board.world_from_board)
+        if (marks := observations.marks.get(name)) is not None and len(marks.ids):
+            none = np.zeros(len(marks.ids), dtype=np.int64)
+            views.append(Views(number, none, marks.ids, marks.pixels))
+            if marks.searched and tolerances.common_px > 0:
+                views[-1] = replace(views[-1], offset=none)
+                values[f"offsets {name}"] = np.zeros((1, 2))
+                free[f"offsets {name}"] = np.arange(2)
+                priors[f"offsets {name}",] = np.eye(2) / tolerances.common_px
+    if tolerances.marker_mm > 0 and len(markers):
+        free["points"] = np.arange(markers.size)
+        priors["points",] = np.eye(markers.size) / tolerances.marker_mm
+    board_sd = np.repeat([tolerances.board_mm, np.deg2rad(tolerances.board_deg)], 3)
+    if np.any(board_sd > 0) and len(poses) > 1:
+        free["poses"] = np.arange(6, 6 * len(poses))
+        priors["poses",] = np.diag(np.tile(1 / np.maximum(board_sd, 1e-9), len(poses) - 1))
+    values["points"] = np.concatenate(points)
+    return RigProblem(RigState(start, RigidTransform.stack(poses), values), views, free, priors)
+
+
+def _kind(seen: Views) -> int:
+    return _CORNERS if seen.pose[0] else _MARKS
+
+
+def _standard_deviations(
+    solution: LeastSquaresSolution[RigState], problem: RigProblem, sds: Floats
+) -> Floats:
     """Standard deviations of corners and marks from their residuals and redundancies.
 
     Variance components in Förstner's form: a class's squared residuals over its share of the
     degrees of freedom, the trace of (1 - leverage).
     """
     squares, redundancy = np.zeros(2), np.zeros(2)
-    for group, (_, kind) in zip(solution.linearised.groups, problem.labels(), strict=True):
+    for group, seen in zip(solution.linearised.groups, problem.views, strict=True):
         lengths = np.linalg.norm(group.residuals, axis=1)
         weights = _HUBER.weights(lengths)
-        P = solution.covariance[np.ix_(group.columns, group.columns)]
+        P = solution.covariance_of(*group.by_block)
         leverage = np.einsum("nki,ij,nkj->n", group.by_shared, P, group.by_shared) * weights
-        squares[kind] += float(np.sum(weights * lengths**2))
-        redundancy[kind] += float(np.sum(2 - leverage))
+        squares[_kind(seen)] += float(np.sum(weights * lengths**2))
+        redundancy[_kind(seen)] += float(np.sum(2 - leverage))
     factor = np.where(redundancy > 1, squares / np.maximum(redundancy, 1), 1.0)
-    return np.maximum(problem.sds * np.sqrt(factor), MIN_SD_PX)
+    return np.maximum(sds * np.sqrt(factor), MIN_SD_PX)
 
 
-def _answer(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> JointRigFit:
-    layout, sds = problem.layout, problem.sds
-    residuals: tuple[dict[str, Floats], dict[str, Floats]] = ({}, {})
-    for (name, kind), group in zip(problem.labels(), solution.linearised.groups, strict=True):
-        residuals[kind][name] = group.residuals * sds[kind]
+def _answer(
+    solution: LeastSquaresSolution[RigState],
+    problem: RigProblem,
+    sds: Floats,
+    tolerances: Tolerances,
+) -> JointRigFit:
+    state, left = solution.state, problem.residuals_px(solution.state)
     cameras = []
-    for camera, columns, free in zip(
-        solution.state.cameras, layout.cameras, layout.lens_free, strict=True
-    ):
-        P = solution.covariance[np.ix_(columns, columns)]
-        own = [of_kind[camera.name] for of_kind in residuals if camera.name in of_kind]
-        rms = rms_length(np.concatenate(own))
-        cameras.append(camera.with_covariance(P, free, rms))
-    used = sum(len(c) for c in layout.cameras)
+    for number, camera in enumerate(state.cameras):
+        own = [r for r, seen in zip(left, problem.views, strict=True) if seen.camera == number]
+        P, rms = solution.covariance_of(f"camera {camera.name}"), rms_length(np.concatenate(own))
+        cameras.append(camera.with_covariance(P, camera.intrinsics.free, rms))
     return JointRigFit(
         cameras=tuple(cameras),
-        covariance=solution.covariance[:used, :used],
-        mark_sd_px=float(sds[MARKS]),
-        corner_sd_px=float(sds[CORNERS]),
-        mark_residuals=residuals[MARKS],
-        state=replace(solution.state, cameras=tuple(cameras)),
-        log_likelihood=_log_likelihood(solution, problem),
+        covariance=solution.covariance_of(*(f"camera {camera.name}" for camera in cameras)),
+        mark_sd_px=float(sds[_MARKS]),
+        corner_sd_px=float(sds[_CORNERS]),
+        mark_residuals={
+            cameras[seen.camera].name: r
+            for r, seen in zip(left, problem.views, strict=True)
+            if _kind(seen) == _MARKS
+        },
+        state=replace(state, cameras=tuple(cameras)),
+        log_likelihood=_log_likelihood(solution, problem, sds, tolerances),
     )
 
 
-def _log_likelihood(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> float:
+def _log_likelihood(
+    solution: LeastSquaresSolution[RigState],
+    problem: RigProblem,
+    sds: Floats,
+    tolerances: Tolerances,
+) -> float:
     """Of the residuals, with the unknowns integrated out (up to a constant)."""
-    spread = sum(
-        group.residuals.size * np.log(problem.sds[kind])
-        for group, (_, kind) in zip(solution.linearised.groups, problem.labels(), strict=True)
-    )
-    tolerances, layout = problem.observations.tolerances, problem.layout
+    spread = sum(seen.pixels.size * np.log(sds[_kind(seen)]) for seen in problem.views)
     if tolerances.board_mm > 0 and tolerances.board_deg > 0:
         one = np.log(tolerances.board_mm) + np.log(np.deg2rad(tolerances.board_deg))
-        spread += 3 * len(layout.boards) * one
-    if layout.offsets:
-        spread += 2 * len(layout.offsets) * np.log(tolerances.common_px)
+        spread += len(problem.free.get("poses", ())) / 2 * one
+    offsets = sum(len(own) for name, own in problem.free.items() if name.startswith("offsets"))
+    if offsets:
+        spread += offsets * np.log(tolerances.common_px)
     _, volume = np.linalg.slogdet(solution.covariance)
     return float(-0.5 * solution.cost - spread + 0.5 * volume)
 

@@ -113,7 +113,7 @@ def _held_out(rig: RigCalibration) -> tuple[float, float]:
             marks = left.get(camera.name)
             if marks is None or not len(marks.ids):
                 continue
-            offset = fit.state.offsets.get(camera.name, np.zeros(2))
+            offset = fit.state.values.get(f"offsets {camera.name}", np.zeros(2))
             points = rig.observations.markers[marks.ids]
             lengths = np.linalg.norm(marks.pixels - offset - camera.project(points), axis=1)
             worth = np.linalg.norm(points - camera.center, axis=1) / camera.intrinsics.focal_px

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from measure.arrays import Floats, floats
+from measure.arrays import Floats, Ints, floats
 from measure.errors import DegenerateGeometryError
 
 ROTATION_TOLERANCE = 1e-6
@@ -139,7 +140,13 @@ class RigidTransform:
     def __matmul__(self, other: RigidTransform) -> RigidTransform:
         return RigidTransform(self.rotation @ other.rotation, self.apply(other.translation))
 
-    def __getitem__(self, index: int | slice) -> RigidTransform:
+    @classmethod
+    def stack(cls, transforms: Sequence[RigidTransform]) -> RigidTransform:
+        """A batch of single transforms."""
+        rotations = np.stack([one.rotation for one in transforms])
+        return cls(rotations, np.stack([one.translation for one in transforms]))
+
+    def __getitem__(self, index: int | slice | Ints) -> RigidTransform:
         return RigidTransform(self.rotation[index], self.translation[index])
 
     def apply(self, points: ArrayLike) -> Floats:

@@ -239,6 +239,5 @@ def _joint_covariance(rests: tuple[Rest, ...], shared: SharedErrors) -> Floats:
 
 
 def _table(poses: Sequence[RigidTransform], stated: Sequence[Floats]) -> PoseTable:
-    rotations = np.stack([pose.rotation for pose in poses])
-    places = RigidTransform(rotations, np.stack([pose.translation for pose in poses]))
+    places = RigidTransform.stack(poses)
     return PoseTable(np.arange(len(poses), dtype=np.float64), places, np.stack(stated))

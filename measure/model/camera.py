@@ -58,6 +58,18 @@ class Intrinsics:
         return float((self.matrix[0, 0] + self.matrix[1, 1]) / 2)
 
     @property
+    def vector(self) -> Floats:
+        """Fx fy cx cy and the eight distortion coefficients (12,), as in `covariance`."""
+        m = self.matrix
+        return np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], self.distortion])
+
+    def shifted(self, delta: Floats) -> Intrinsics:
+        """The intrinsics with `delta` (12,) added to `vector`."""
+        vector, matrix = self.vector + delta, self.matrix.copy()
+        matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2] = vector[:4]
+        return replace(self, matrix=matrix, distortion=vector[4:])
+
+    @property
     def free(self) -> Ints:
         """Which of the parameters of `covariance` have a variance: are not known exactly."""
         diagonal = np.zeros(0) if self.covariance is None else np.diag(self.covariance)
@@ -200,6 +212,24 @@ class Camera:
             out[:6, 6:] = self.pose_intrinsics_covariance
             out[6:, :6] = self.pose_intrinsics_covariance.T
         return out
+
+    @property
+    def free(self) -> Ints:
+        """Which of the parameters of `perturb` are not known exactly: the pose, and of the lens."""
+        return np.concatenate([np.arange(6), 6 + self.intrinsics.free])
+
+    def perturb(self, delta: Floats) -> Camera:
+        """The neighbour at `delta` (18,): of the pose in its `perturb` chart, of the intrinsics."""
+        return replace(
+            self,
+            world_from_camera=self.world_from_camera.perturb(delta[:6]),
+            intrinsics=self.intrinsics.shifted(delta[6:]),
+        )
+
+    def difference(self, reference: Camera) -> Floats:
+        """The `delta` (18,) with `reference.perturb(delta)` where and as this camera is."""
+        moved = self.world_from_camera.difference(reference.world_from_camera)
+        return np.concatenate([moved, self.intrinsics.vector - reference.intrinsics.vector])
 
     def with_covariance(self, covariance: Floats, free: Ints, rms_px: float | None) -> Camera:
         """The same with the covariance of its pose (6) and its `free` lens parameters, if any."""

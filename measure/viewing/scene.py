@@ -132,9 +132,7 @@ def send_errors(columns: FrameSetBatch, sets: Sequence[Measurement], truth: Traj
     delta = np.full((len(poses), 6), np.nan)
     if here.any():
         found = [pose.world_from_body for pose in poses if pose is not None]
-        measured = RigidTransform(
-            np.stack([one.rotation for one in found]), np.stack([one.translation for one in found])
-        )
+        measured = RigidTransform.stack(found)
         delta[here] = measured.difference(truth.at(columns.times_s[rows][here]))
     values = np.column_stack([delta[:, :3], np.linalg.norm(delta[:, :3], axis=1)])
     for axis, column in zip(entities.ERROR_AXES, values.T, strict=True):

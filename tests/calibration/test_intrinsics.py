@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from measure.calibration import Chessboard, Corners, calibrate_lens, choose_views, read_board
-from measure.calibration.board_views import (
-    LENS_MODELS,
-    fit_lens,
-    intrinsics_vector,
-    start_intrinsics,
-)
+from measure.calibration.board_views import LENS_MODELS, fit_lens, start_intrinsics
 from measure.calibration.findings import lens_findings
 from measure.calibration.intrinsics import _shaped, board_shape
 from measure.calibration.views import ViewSet
@@ -49,7 +44,7 @@ def test_the_covariance_is_the_scatter(bow_px) -> None:
             fit_lens(start_intrinsics(SIZE, BOARD.points, some), BOARD.points, some, model)
             for some in (flat, views)
         )
-        error = (intrinsics_vector(fit.intrinsics) - intrinsics_vector(true))[free]
+        error = (fit.intrinsics.vector - true.vector)[free]
         for out, P in (
             (squares, fit.intrinsics.covariance),
             (one_by_one, plain.intrinsics.covariance * (fit.sd_px / plain.sd_px) ** 2),
@@ -75,7 +70,7 @@ def test_repeats_to_the_last_digit() -> None:
     views = board_views(lens(0), np.random.default_rng(7), count=8)
     chosen = choose_views(BOARD, list(views), SIZE, "cam0")
     first, second = (calibrate_lens(BOARD, chosen, "cam0").intrinsics for _ in range(2))
-    assert np.array_equal(intrinsics_vector(first), intrinsics_vector(second))
+    assert np.array_equal(first.vector, second.vector)
 
 
 def test_a_view_with_wrong_corners_is_left_out_and_named() -> None:
@@ -168,7 +163,7 @@ def test_a_fisheye_is_found_where_it_is_asked_for_and_advised_where_not() -> Non
     assert "fx fy cx cy k1 k2" in found.model.parameters
     assert found.fit.rms_px < 0.08
     free = list(found.model.free)
-    off = (intrinsics_vector(lens) - intrinsics_vector(FISHEYE))[free]
+    off = (lens.vector - FISHEYE.vector)[free]
     assert off @ np.linalg.solve(P[np.ix_(free, free)], off) < 26.1  # chi-squared of 8, 99.9 %
     advice = 'a fisheye fits the views to 0.07 px: say model = "fisheye"'
     with pytest.raises(CalibrationError, match=advice):

@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
-from measure.calibration.board_views import lens_change, stack
+from measure.arrays import Floats
 from measure.calibration.by_body.lenses import LENS_KINDS, is_open, with_lens_kind
 from measure.calibration.by_body.linking import LinkedRig
-from measure.calibration.common_views import shape_errors
+from measure.calibration.common_views import columns_of, shape_errors
 from measure.calibration.refining.freeing import FREE_SD, HELD_SD, joint_prior
 from measure.calibration.refining.procedure import compare_halves
 from measure.calibration.refining.recording import Recording, Track, ball_places
 from measure.calibration.refining.refine import Refinement, refine_rig
+from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 
@@ -46,7 +46,7 @@ def recording_of_links(linked: LinkedRig, body: Body) -> Recording:
             own.append((number, body.index(d.ball), d.center_px, d.covariance_px, lead))
     return Recording(
         np.array([instant.time_s for instant in linked.instants]),
-        stack([instant.world_from_body for instant in linked.instants]),
+        RigidTransform.stack([instant.world_from_body for instant in linked.instants]),
         {n: Track(*map(np.array, zip(*seen, strict=True))) for n, seen in rows.items()},
     )
 
@@ -60,8 +60,7 @@ def is_settled(before: tuple[Camera, ...], refinement: Refinement) -> bool:
     """Whether an adjustment moved the cameras by less than they are known to."""
     parts = []
     for old, now in zip(before, refinement.cameras, strict=True):
-        parts.append(now.world_from_camera.difference(old.world_from_camera))
-        parts.append(lens_change(old, now)[now.intrinsics.free])
+        parts.append(now.difference(old)[now.free])
     change = np.concatenate(parts)
     size = float(change @ np.linalg.solve(refinement.covariance, change)) / len(change)
     return size < _SETTLED_SDS**2
@@ -112,14 +111,13 @@ def shape_of(refinement: Refinement, body: Body, recording: Recording) -> Shape:
     """
     cameras, points = refinement.cameras, ball_places(recording.world_from_body, body.centers)
     free = [camera.intrinsics.free for camera in cameras]
-    columns: list[Ints] = [refinement.columns[camera.name] for camera in cameras]
     P = refinement.covariance
     tolerance_mm = body.tolerance_mm or USUAL_RADIUS_TOLERANCE_MM
     stated = tolerance_mm / float(np.linalg.norm(body.centers - body.middle))
-    shape, world, moves = shape_errors(cameras, free, columns, points, with_scale=True)
+    shape, world, moves = shape_errors(cameras, free, points, with_scale=True)
     joint = shape @ P @ shape.T + (moves * _WORLD_SD**2) @ moves.T
     out = tuple(
         camera.with_covariance(joint[np.ix_(own, own)], lens, camera.reprojection_rms_px)
-        for camera, own, lens in zip(cameras, columns, free, strict=True)
+        for camera, own, lens in zip(cameras, columns_of(free), free, strict=True)
     )
     return Shape(out, joint, max(stated, float(np.sqrt(world[6] @ P @ world[6]))))

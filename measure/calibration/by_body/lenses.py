@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from measure.calibration.board_views import stack
 from measure.calibration.by_body.linking import Instant, LinkedRig, link
 from measure.calibration.refining.freeing import ZOOM_SD, zoom_prior
 from measure.calibration.refining.recording import Recording
@@ -122,7 +121,7 @@ def _missing(camera: Camera, recording: Recording) -> str:
     poses = recording.world_from_body
     far = np.linalg.norm(poses.translation[np.unique(track.frame)] - camera.center, axis=1)
     across = np.ptp(track.pixels, axis=0) / camera.intrinsics.size_wh
-    picked = stack([poses[i] for i in np.unique(np.linspace(0, len(far) - 1, 24).astype(int))])
+    picked = poses[np.unique(np.linspace(0, len(far) - 1, 24).astype(int))]
     turns = np.einsum("aij,bij->ab", picked.rotation, picked.rotation)
     turned = float(np.degrees(np.arccos(np.clip((turns.min() - 1) / 2, -1, 1))))
     nearer = (

@@ -18,7 +18,6 @@ import cv2
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.calibration.board_views import stack
 from measure.calibration.by_body.single_view import REACH, View, body_poses, resections
 from measure.calibration.refining.recording import refuse_rest
 from measure.errors import CalibrationError, DegenerateGeometryError
@@ -98,7 +97,10 @@ def link(
     poses = {name: [_poses(one, name, body) for one in instants] for name in lenses}
     _check_seen(lenses, body, instants, poses)
     group = _first_pair(lenses, body, instants, poses, placed)
-    refuse_rest(stack([some[0] for some in group.bodies if len(some) == 1]), least_motion_mm(body))
+    refuse_rest(
+        RigidTransform.stack([some[0] for some in group.bodies if len(some) == 1]),
+        least_motion_mm(body),
+    )
     while waiting := [name for name in lenses if name not in group.placed]:
         places = group.places()
         found = {name: placed(name, places) for name in waiting}
@@ -240,13 +242,13 @@ def _placed(
     guesses = _drawn(shared, np.random.default_rng(len(shared)))
     if not guesses:
         return best, most
-    agreed = _agreements(stack(guesses), shared, body).sum(axis=1)
+    agreed = _agreements(RigidTransform.stack(guesses), shared, body).sum(axis=1)
     best, most = guesses[int(np.argmax(agreed))], float(agreed.max())
     for _ in range(_POLISHED):
         better = _polished(best, shared, body)
         if better is None:
             break
-        now = float(_agreements(stack([better]), shared, body).sum())
+        now = float(_agreements(RigidTransform.stack([better]), shared, body).sum())
         if now <= most:
             break
         best, most = better, now

@@ -17,10 +17,9 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
-from measure.calibration.board_views import lens_change
-from measure.calibration.least_squares import root_information
+from measure.arrays import Floats
 from measure.calibration.refining.recording import Track
+from measure.estimation.least_squares import root_information
 from measure.limits import TINY
 from measure.model import Camera
 
@@ -143,20 +142,17 @@ class CameraPrior:
     """
 
     def __init__(
-        self,
-        first: tuple[Camera, ...],
-        free: tuple[Ints, ...],
-        points_world: Floats,
-        joint: Floats | None = None,
+        self, first: tuple[Camera, ...], points_world: Floats, joint: Floats | None = None
     ) -> None:
-        size = sum(6 + len(own) for own in free)
+        size = sum(len(camera.free) for camera in first)
         self.first = first
         self.joint = joint if joint is not None and joint.shape == (size, size) else None
         self.position, self.image, self.stated = np.zeros((3, size, size))
         row = 0
-        for camera, own in zip(first, free, strict=True):
+        for camera in first:
+            own = camera.intrinsics.free
             at = slice(row, row + 6 + len(own))
-            self.image[at, at] = _misses(camera, own, points_world)
+            self.image[at, at] = _misses(camera, points_world)
             pose, lens = camera.pose_covariance, camera.intrinsics.covariance
             turn, way = slice(row, row + 6), slice(row, row + 3)
             if pose is not None and np.all(np.diag(pose) > 0):
@@ -168,13 +164,10 @@ class CameraPrior:
                 self.stated[rest, rest] = _information(lens[np.ix_(own, own)])
             row = at.stop
 
-    def change(self, cameras: tuple[Camera, ...], free: tuple[Ints, ...]) -> Floats:
+    def change(self, cameras: tuple[Camera, ...]) -> Floats:
         """How far cameras are from the first ones (p,), camera after camera: pose, then lens."""
-        parts = []
-        for first, now, own in zip(self.first, cameras, free, strict=True):
-            parts.append(now.world_from_camera.difference(first.world_from_camera))
-            parts.append(lens_change(first, now)[own])
-        return np.concatenate(parts)
+        both = zip(self.first, cameras, strict=True)
+        return np.concatenate([now.difference(first)[first.free] for first, now in both])
 
     def root(self, noise: NoiseModel) -> Floats:
         """R (p, p) with R^T R the inverse covariance of all poses and free lens parameters."""
@@ -218,10 +211,9 @@ class CameraPrior:
         )
 
 
-def _misses(camera: Camera, free: Ints, points_world: Floats) -> Floats:
+def _misses(camera: Camera, points_world: Floats) -> Floats:
     """Mean squared miss at points, times three: as a matrix on the camera's change."""
-    _, _, by_pose, by_lens = camera.project_with_jacobians(points_world)
-    J = np.concatenate([by_pose, by_lens[:, :, free]], axis=2)
+    J = np.concatenate(camera.project_with_jacobians(points_world)[2:], axis=2)[:, :, camera.free]
     J = J[np.all(np.isfinite(J), axis=(1, 2))]
     rows = J.reshape(-1, J.shape[2])
     return np.asarray(3 / max(len(J), 1) * rows.T @ rows)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.calibration.board_views import stack
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.limits import FEWEST
@@ -99,7 +98,7 @@ def recording_of(
             f"in {len(kept)} frame sets three balls are seen as they should be, and at least "
             f"{FEWEST} are needed"
         )
-    poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
+    poses = RigidTransform.stack([m.pose.world_from_body for m in kept if m.pose is not None])
     refuse_rest(poses, least_motion_mm)
     return Recording(
         np.array([m.time_s for m in kept]), poses, _tracks(kept, body, lead_s, doubtful_too)

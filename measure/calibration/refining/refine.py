@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
-from measure.calibration.least_squares import LeastSquaresSolution
 from measure.calibration.refining.priors import (
     USUAL_POSITION_MM,
     CameraPrior,
@@ -22,9 +21,11 @@ from measure.calibration.refining.priors import (
     with_view_noise,
     workspace_grid,
 )
-from measure.calibration.refining.problem import RefinedState, RefineLayout, RefineProblem
-from measure.calibration.refining.recording import Recording, ball_places
+from measure.calibration.refining.recording import BallMotion, Recording, ball_places
 from measure.errors import CalibrationError
+from measure.estimation.least_squares import LeastSquaresSolution, StoppingRule, solve
+from measure.estimation.losses import HUBER_SIGMAS, Huber
+from measure.estimation.rig_model import RigProblem, RigState, Views
 from measure.limits import FEWEST
 from measure.model import Body, Camera
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
@@ -34,6 +35,9 @@ _UNDAMPED_ROUNDS = 12
 _SETTLED_MM = 1e-3
 _START_IMAGE_SD_PX = 5.0
 """Cameras start free, so that their errors are not attributed to the balls' constant shifts."""
+_ONE_ROUND = StoppingRule(steps=2, tolerance=1e-7, must_settle=False, damping=1e-12)
+"""Damping must be far below the prior of the world frame, which a long recording outweighs."""
+_CLOCK_SD_S = 0.02  # Clocks that are off at all are off by something like this
 
 
 @dataclass(frozen=True)
@@ -96,26 +100,90 @@ def refine_rig(
     tolerance_mm = settings.body_tolerance_mm
     if tolerance_mm is None:
         tolerance_mm = body.tolerance_mm or USUAL_RADIUS_TOLERANCE_MM
-    layout = RefineLayout.of(cameras, len(body.balls), tolerance_mm == 0, clocks_are_exact)
     places = ball_places(recording.world_from_body, body.centers)
-    prior = CameraPrior(cameras, layout.free, workspace_grid(places), joint_covariance)
-    problem = RefineProblem(layout, body, tolerance_mm, recording)
-    return _settled(problem, prior, problem.start(cameras), settings, variance_factor)
+    prior = CameraPrior(cameras, workspace_grid(places), joint_covariance)
+    problem = _Refining(recording, _start(cameras, body, recording), tolerance_mm)
+    if not clocks_are_exact:
+        clocks = {f"clock {camera.name}": np.zeros(1) for camera in cameras[1:]}
+        start = replace(problem.start, values={**problem.start.values, **clocks})
+        problem = replace(problem, start=start)
+    return _settled(problem, prior, settings, variance_factor)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refining:
+    """Bundle adjustment of a recording: its balls are the points, its poses the instants' own.
+
+    Unknown is a constant shift of every ball in every camera, too: light from one side displaces
+    the edges of a ball always the same way. Without these shifts the covariance would shrink with
+    the number of pictures although that error does not.
+    """
+
+    recording: Recording
+    start: RigState
+    body_tolerance_mm: float = 0.0  # 0 keeps the body
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The blocks of the cameras."""
+        return tuple(f"camera {camera.name}" for camera in self.start.cameras)
+
+    def about(self, state: RigState, prior: CameraPrior | None, noise: NoiseModel) -> RigProblem:
+        """With the motion of a state, under a scatter; without a prior the cameras stay put."""
+        views, extra = list[Views](), noise.view_px**2 * np.eye(2)
+        for number, camera in enumerate(state.cameras):
+            seen = self.recording.tracks[camera.name]
+            covariance = noise.correlation * (seen.covariance + extra)
+            root = np.linalg.inv(np.linalg.cholesky(covariance))
+            own = seen.frame, seen.ball, seen.pixels, root, seen.ball, seen.lead_s
+            views.append(Views(number, *own))
+        free, priors = dict[str, Ints](), dict[tuple[str, ...], Floats]()
+        if prior is not None:
+            free |= {f"camera {camera.name}": camera.free for camera in self.start.cameras}
+            priors[self.cameras] = prior.root(noise)
+            sds = {"offsets": noise.constant_px, "clock": _CLOCK_SD_S}
+            for name, value in self.start.values.items():
+                if sd := sds.get(name.split()[0], self.body_tolerance_mm):
+                    free[name] = np.arange(value.size)
+                    priors[name,] = np.eye(value.size) / sd
+        motion = BallMotion(self.recording.times_s, state.poses, state.values["points"])
+        return RigProblem(self.start, views, free, priors, True, motion.at)
+
+    def solve(
+        self, state: RigState, prior: CameraPrior | None, noise: NoiseModel
+    ) -> LeastSquaresSolution[RigState]:
+        """A few steps from a state, the motion held; without a prior the cameras stay put."""
+        problem = self.about(state, prior, noise)
+        # The correlation widens the covariances, but must not widen the reach of the loss.
+        reach = HUBER_SIGMAS / np.sqrt(noise.correlation)
+        return solve(problem.linearise, problem.step, state, Huber(float(reach)), _ONE_ROUND)
+
+    def residuals_px(self, state: RigState) -> dict[str, Floats]:
+        """By camera, what is left (n, 2) of its observations."""
+        left = self.about(state, None, NoiseModel()).residuals_px(state)
+        return {camera.name: own for camera, own in zip(state.cameras, left, strict=True)}
+
+
+def _start(cameras: tuple[Camera, ...], body: Body, recording: Recording) -> RigState:
+    """The cameras as calibrated, the body as nominal, nothing shifted."""
+    shifts = {f"offsets {camera.name}": np.zeros((len(body.balls), 2)) for camera in cameras}
+    return RigState(cameras, recording.world_from_body, {"points": body.centers, **shifts})
+
+
+def _shifts_px(state: RigState) -> Floats:
+    """Of each ball in each camera (c, k, 2)."""
+    return np.stack([state.values[f"offsets {camera.name}"] for camera in state.cameras])
 
 
 def _settled(
-    problem: RefineProblem,
-    prior: CameraPrior,
-    first: RefinedState,
-    settings: RefineSettings,
-    variance_factor: float,
+    problem: _Refining, prior: CameraPrior, settings: RefineSettings, variance_factor: float
 ) -> Refinement:
     """Alternate solving and estimating the noise until neither changes."""
     noise = NoiseModel(
         constant_px=settings.constant_px, image_px=_START_IMAGE_SD_PX, position_mm=USUAL_POSITION_MM
     )
-    before = _rms(problem.residuals_px(problem.solve(first, None, noise).state))
-    state = first
+    state = problem.start
+    before = _rms(problem.residuals_px(problem.solve(state, None, noise).state))
     for number in range(_MAX_ROUNDS):
         solution = problem.solve(state, prior, noise)
         estimated = _estimated_noise(problem, prior, solution, noise, settings, variance_factor)
@@ -132,8 +200,8 @@ def _settled(
 
 def misfits_px(cameras: tuple[Camera, ...], body: Body, recording: Recording) -> Floats:
     """How far each sighting misses (n,) with these cameras and the nominal body, poses fitted."""
-    problem = RefineProblem(RefineLayout.of(cameras, len(body.balls), True), body, 0.0, recording)
-    left = problem.residuals_px(problem.solve(problem.start(cameras), None, NoiseModel()).state)
+    problem = _Refining(recording, _start(cameras, body, recording))
+    left = problem.residuals_px(problem.solve(problem.start, None, NoiseModel()).state)
     return np.linalg.norm(np.concatenate(list(left.values())), axis=1)
 
 
@@ -148,7 +216,7 @@ def _check_seen(cameras: tuple[Camera, ...], recording: Recording) -> None:
             )
 
 
-def _largest_step(old: RefinedState, new: RefinedState) -> float:
+def _largest_step(old: RigState, new: RigState) -> float:
     """How far cameras moved, mm (a radian counts as the 100 mm by which it shifts what is seen).
 
     Poses of the body at the recording's ends come to rest much later, and move no camera any more.
@@ -161,30 +229,28 @@ def _largest_step(old: RefinedState, new: RefinedState) -> float:
 
 
 def _estimated_noise(
-    problem: RefineProblem,
+    problem: _Refining,
     prior: CameraPrior,
-    solution: LeastSquaresSolution[RefinedState],
+    solution: LeastSquaresSolution[RigState],
     noise: NoiseModel,
     settings: RefineSettings,
     variance_factor: float,
 ) -> NoiseModel:
     """The scatter that a solution shows."""
-    state, P, layout = solution.state, solution.covariance, problem.layout
-    lin = solution.linearised
-    unknown = lin.n_blocks * lin.size_of_block
+    state, lin = solution.state, solution.linearised
+    unknown = lin.n_instants * lin.size_of_instant
     freedom = max(1 - unknown / lin.residuals.size, 0.1)
     residuals = problem.residuals_px(state)
     noise = with_view_noise(
         noise, residuals, problem.recording.tracks, freedom, settings.least_sd_px, variance_factor
     )
-    at = layout.shifts.reshape(-1)
-    known = 1 - np.diag(P)[at] / noise.constant_px**2
-    squares = float(np.sum(state.shifts_px**2))
+    shifts = solution.covariance_of(*(name for name in lin.sizes if name.startswith("offsets")))
+    known = 1 - np.diag(shifts) / noise.constant_px**2
+    squares = float(np.sum(_shifts_px(state) ** 2))
     constant = shrunken_variance(squares, float(np.sum(known)), settings.constant_px**2)
     noise = replace(noise, constant_px=float(np.sqrt(constant)))
-    own = np.concatenate(layout.cameras)
-    change = prior.change(state.cameras, layout.free)
-    return prior.estimate(noise, change, P[np.ix_(own, own)])
+    posterior = solution.covariance_of(*problem.cameras)
+    return prior.estimate(noise, prior.change(state.cameras), posterior)
 
 
 def _rms(residuals: dict[str, Floats]) -> dict[str, float]:
@@ -192,35 +258,41 @@ def _rms(residuals: dict[str, Floats]) -> dict[str, float]:
 
 
 def _answer(
-    problem: RefineProblem,
+    problem: _Refining,
     prior: CameraPrior,
-    solution: LeastSquaresSolution[RefinedState],
+    solution: LeastSquaresSolution[RigState],
     before: dict[str, float],
     noise: NoiseModel,
 ) -> Refinement:
-    state, P, layout = solution.state, solution.covariance, problem.layout
-    shifted = problem.residuals_px(replace(state, shifts_px=np.zeros_like(state.shifts_px)))
-    after = _rms(shifted)
+    state = solution.state
+    still = {name: value * (not name.startswith("offsets")) for name, value in state.values.items()}
+    left = problem.residuals_px(replace(state, values=still))
+    after = _rms(left)
     cameras = tuple(
-        camera.with_covariance(P[np.ix_(columns, columns)], free, after[camera.name])
-        for camera, columns, free in zip(state.cameras, layout.cameras, layout.free, strict=True)
+        camera.with_covariance(
+            solution.covariance_of(name), camera.intrinsics.free, after[camera.name]
+        )
+        for camera, name in zip(state.cameras, problem.cameras, strict=True)
     )
-    known = np.zeros((state.centers.size, state.centers.size))
-    if len(layout.centers):
-        known = P[np.ix_(layout.centers, layout.centers)]
-    own = np.concatenate(layout.cameras)
+    centers = state.values["points"]
+    known = np.zeros((centers.size, centers.size))
+    if "points" in solution.linearised.sizes:
+        known = solution.covariance_of("points")
     return Refinement(
         cameras,
-        state.centers,
+        centers,
         known,
         {name: (before[name], after[name]) for name in after},
-        {n: float(np.median(np.linalg.norm(left, axis=1))) for n, left in shifted.items()},
-        state.shifts_px,
+        {name: float(np.median(np.linalg.norm(own, axis=1))) for name, own in left.items()},
+        _shifts_px(state),
         noise,
-        prior.change(state.cameras, layout.free),
-        P[np.ix_(own, own)],
+        prior.change(state.cameras),
+        solution.covariance_of(*problem.cameras),
         prior.covariance_at(noise),
-        {c.name: columns for c, columns in zip(cameras, layout.cameras, strict=True)},
+        {
+            camera.name: solution.linearised.columns([name])
+            for camera, name in zip(cameras, problem.cameras, strict=True)
+        },
         len(problem.recording.times_s),
         prior.joint is not None,
     )

@@ -1,16 +1,17 @@
-"""Levenberg-Marquardt for calibration: shared parameters plus many small blocks of their own.
+"""Levenberg-Marquardt for named blocks of shared parameters, and a small block for each instant.
 
 Cameras, lenses and marker positions are *shared*; the pose of one board view or of the body in one
-frame set is a *block* that only its own observations touch. Eliminating the blocks first (the Schur
-complement, Triggs et al. 2000, "Bundle Adjustment", section 6.3) leaves a dense system in the
-shared parameters, whose inverse is their covariance. Everything runs in a fixed order in one
+frame set is of an *instant*, and only its own observations touch it. Eliminating the instants first
+(the Schur complement, Triggs et al. 2000, "Bundle Adjustment", section 6.3) leaves a dense system
+in the shared parameters, whose inverse is their covariance. Everything runs in a fixed order in one
 thread: the same input gives the same answer to the last digit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -20,6 +21,7 @@ from measure.errors import CalibrationError
 from measure.estimation.losses import Huber
 
 State = TypeVar("State")
+Blocks = Mapping[str, Floats]
 
 _MAX_DAMPING = 1e12
 _MIN_DAMPING = 1e-15
@@ -32,13 +34,32 @@ _UNDETERMINED = (
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Whitened observations that depend on the same shared parameters (as a rule: one camera's)."""
+    """Whitened observations that depend on the same shared blocks (as a rule: one camera's)."""
 
     residuals: Floats  # (n, k) observed minus predicted, divided by their standard deviations
-    columns: Ints  # (p,) which shared parameters they depend on
-    by_shared: Floats  # (n, k, p) derivative of the whitened prediction by those
-    block: Ints  # (n,) which block each depends on; empty if there are no blocks
-    by_block: Floats  # (n, k, b) derivative of the whitened prediction by that block
+    by_block: Blocks  # by name (n, k, p) derivative of the whitened prediction by a shared block
+    instant: Ints  # (n,) which instant each depends on; of no account if there are none
+    by_instant: Floats  # (n, k, b) derivative of the whitened prediction by that instant's own
+
+    @cached_property
+    def by_shared(self) -> Floats:
+        """(n, k, q) derivative by all its shared blocks, one after the other."""
+        none = self.by_instant[:, :, :0]
+        return np.concatenate([none, *self.by_block.values()], axis=2)
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known beforehand of some shared blocks, one after the other."""
+
+    names: tuple[str, ...]
+    root: Floats  # (m, q) R with R^T R the information
+    off: Floats  # (q,) expected minus present values
+
+    @property
+    def residuals(self) -> Floats:
+        """(m,) whitened."""
+        return self.root @ self.off
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +67,14 @@ class Linearised:
     """A problem linearised at a state."""
 
     groups: tuple[Group, ...]
-    n_shared: int
-    n_blocks: int
-    prior_residuals: Floats  # (m,) whitened residuals of the priors
-    prior_by_shared: Floats  # (m, n_shared) derivative of the whitened prior predictions
+    sizes: Mapping[str, int]  # of the shared blocks, by name, in their order
+    n_instants: int
+    priors: tuple[Prior, ...] = ()
+
+    @property
+    def n_shared(self) -> int:
+        """Shared parameters."""
+        return sum(self.sizes.values())
 
     @property
     def residuals(self) -> Floats:
@@ -57,9 +82,22 @@ class Linearised:
         return np.concatenate([group.residuals.reshape(-1) for group in self.groups])
 
     @property
-    def size_of_block(self) -> int:
-        """Parameters in a block."""
-        return self.groups[0].by_block.shape[2]
+    def size_of_instant(self) -> int:
+        """Parameters of an instant."""
+        return self.groups[0].by_instant.shape[2]
+
+    @cached_property
+    def _columns(self) -> dict[str, Ints]:
+        ends = np.cumsum([0, *self.sizes.values()])
+        return {
+            name: np.arange(start, start + size)
+            for (name, size), start in zip(self.sizes.items(), ends[:-1], strict=True)
+        }
+
+    def columns(self, names: Iterable[str]) -> Ints:
+        """Where some blocks, one after the other, stand among the shared parameters."""
+        none = np.zeros(0, dtype=np.int64)
+        return np.concatenate([none, *(self._columns[name] for name in names)])
 
 
 @dataclass(frozen=True)
@@ -85,32 +123,36 @@ class LeastSquaresSolution(Generic[State]):
     cost: float  # sum of losses and squared priors
     loss: Huber
 
+    def covariance_of(self, *names: str) -> Floats:
+        """(q, q) of some blocks, one after the other."""
+        at = self.linearised.columns(names)
+        return self.covariance[np.ix_(at, at)]
+
     @property
     def variance_factor(self) -> float:
         """Sum of squared residuals over degrees of freedom: 1 where the stated sds are right."""
         lin = self.linearised
-        squares = np.sum(lin.residuals**2) + np.sum(lin.prior_residuals**2)
-        rows = lin.residuals.size + lin.prior_residuals.size
-        unknowns = lin.n_shared + lin.n_blocks * lin.size_of_block
-        return float(squares / max(rows - unknowns, 1))
+        residuals = np.concatenate([lin.residuals, *(prior.residuals for prior in lin.priors)])
+        unknowns = lin.n_shared + lin.n_instants * lin.size_of_instant
+        return float(np.sum(residuals**2) / max(residuals.size - unknowns, 1))
 
     @property
     def clustered_factor(self) -> float:
-        """The variance factor if errors within a block are alike, as those of one view may be.
+        """The variance factor if errors within an instant are alike, as those of one view may be.
 
-        By the sandwich covariance with blocks as clusters (Liang and Zeger 1986, Biometrika 73,
-        equation 8): with S the inverse covariance and g_f what block f adds to the gradient,
+        By the sandwich covariance with instants as clusters (Liang and Zeger 1986, Biometrika 73,
+        equation 8): with S the inverse covariance and g_f what instant f adds to the gradient,
         tr(S^-1 sum g_f g_f^T) f / (f - 1) over the shared parameters' number. Its mean is below
         `variance_factor` where errors are independent.
         """
-        lin, f, p = self.linearised, self.linearised.n_blocks, self.linearised.n_shared
+        lin, f, p = self.linearised, self.linearised.n_instants, self.linearised.n_shared
         if f < 2 or not p:
             return 0.0
         normal, gradient = _normal_equations(lin, self.loss), np.zeros((f, p))
         for group in lin.groups:
             weights = self.loss.weights(np.linalg.norm(group.residuals, axis=1))
             each = np.einsum("n,nkp,nk->np", weights, group.by_shared, group.residuals)
-            np.add.at(gradient, (group.block[:, None], group.columns), each)
+            np.add.at(gradient, (group.instant[:, None], lin.columns(group.by_block)), each)
         own = _solve_scaled(normal.V, normal.W, _UNSEEN)
         gradient -= np.einsum("fbp,fb->fp", own, normal.h)
         return float(np.einsum("fp,pq,fq->", gradient, self.covariance, gradient) / p * f / (f - 1))
@@ -118,16 +160,16 @@ class LeastSquaresSolution(Generic[State]):
 
 def solve(
     linearise: Callable[[State], Linearised],
-    step: Callable[[State, Floats, Floats], State],
+    step: Callable[[State, Blocks, Floats], State],
     start: State,
     loss: Huber | None = None,
     limits: StoppingRule | None = None,
 ) -> LeastSquaresSolution[State]:
     """Minimise the sum of losses of the whitened residuals plus the squared priors.
 
-    `step` gives the state after shared (n_shared,) and block (n_blocks, b) increments.
-    CalibrationError: the start has no finite cost, the data leave parameters undetermined, or the
-    limit was reached.
+    `step` gives the state after increments of the shared blocks (p,), by name, and of the instants
+    (n_instants, b). CalibrationError: the start has no finite cost, the data leave parameters
+    undetermined, or the limit was reached.
     """
     loss, limits = loss or Huber(), limits or StoppingRule()
     state, here = start, linearise(start)
@@ -136,8 +178,8 @@ def solve(
         raise CalibrationError("the calibration starts from a pose that cannot see its own targets")
     damping, taken, done = limits.damping, 0, False
     while not done:
-        shared, blocks, predicted = _normal_equations(here, loss).increment(damping)
-        candidate = step(state, shared, blocks)
+        shared, own, predicted = _normal_equations(here, loss).increment(damping)
+        candidate = step(state, {name: shared[here.columns([name])] for name in here.sizes}, own)
         there = linearise(candidate)
         gain = cost - _cost(there, loss)
         done = predicted <= 0.1 * limits.tolerance * cost + 1e-15
@@ -157,12 +199,12 @@ def solve(
 
 def _cost(lin: Linearised, loss: Huber) -> float:
     lengths = np.concatenate([np.linalg.norm(g.residuals, axis=1) for g in lin.groups])
-    return loss.cost(lengths) + float(lin.prior_residuals @ lin.prior_residuals)
+    return loss.cost(lengths) + float(sum(p.residuals @ p.residuals for p in lin.priors))
 
 
 @dataclass(frozen=True, eq=False)
 class _NormalEquations:
-    """[[U, W^T], [W, V]] [shared, blocks] = [g, h], with V block diagonal."""
+    """[[U, W^T], [W, V]] [shared, instants] = [g, h], with V block diagonal."""
 
     U: Floats
     V: Floats
@@ -171,7 +213,7 @@ class _NormalEquations:
     h: Floats
 
     def increment(self, damping: float) -> tuple[Floats, Floats, float]:
-        """Shared (p,) and block (f, b) increments, and the decrease they promise."""
+        """Increments of shared (p,) and of instants (f, b), and the decrease they promise."""
         U = self.U + damping * np.diag(_scale(np.diag(self.U)))
         V = self.V.copy()
         diagonal = np.einsum("fii->fi", V)
@@ -184,8 +226,8 @@ class _NormalEquations:
         shared = right
         if len(right):
             shared = _solve_scaled(reduced[None], right[None, :, None], _UNDETERMINED)[0, :, 0]
-        blocks = solved[:, :, -1] - solved[:, :, :-1] @ shared
-        return shared, blocks, float(self.g @ shared + np.sum(self.h * blocks))
+        own = solved[:, :, -1] - solved[:, :, :-1] @ shared
+        return shared, own, float(self.g @ shared + np.sum(self.h * own))
 
     def covariance(self) -> Floats:
         """Inverse of the Schur complement (p, p)."""
@@ -204,43 +246,29 @@ class _NormalEquations:
 
 
 def _normal_equations(lin: Linearised, loss: Huber) -> _NormalEquations:
-    p, f, b = lin.n_shared, lin.n_blocks, lin.size_of_block
-    U = lin.prior_by_shared.T @ lin.prior_by_shared
-    g = lin.prior_by_shared.T @ lin.prior_residuals
+    p, f, b = lin.n_shared, lin.n_instants, lin.size_of_instant
+    U, g = np.zeros((p, p)), np.zeros(p)
     V, W, h = np.zeros((f, b, b)), np.zeros((f, b, p)), np.zeros((f, b))
+    for prior in lin.priors:
+        columns = lin.columns(prior.names)
+        U[np.ix_(columns, columns)] += prior.root.T @ prior.root
+        g[columns] += prior.root.T @ prior.residuals
     for group in lin.groups:
+        columns, by_shared = lin.columns(group.by_block), group.by_shared
         weights = loss.weights(np.linalg.norm(group.residuals, axis=1))
-        weighted = group.by_shared * weights[:, None, None]
-        rows = group.by_shared.reshape(group.residuals.size, len(group.columns))
-        U[np.ix_(group.columns, group.columns)] += rows.T @ weighted.reshape(rows.shape)
-        g[group.columns] += weighted.reshape(rows.shape).T @ group.residuals.reshape(-1)
+        weighted = by_shared * weights[:, None, None]
+        rows = by_shared.reshape(group.residuals.size, len(columns))
+        U[np.ix_(columns, columns)] += rows.T @ weighted.reshape(rows.shape)
+        g[columns] += weighted.reshape(rows.shape).T @ group.residuals.reshape(-1)
         if f:
-            own = np.swapaxes(group.by_block * weights[:, None, None], 1, 2)
-            order = np.argsort(group.block, kind="stable")
-            blocks, first = np.unique(group.block[order], return_index=True)
-            V[blocks] += np.add.reduceat((own @ group.by_block)[order], first)
-            h[blocks] += np.add.reduceat((own @ group.residuals[:, :, None])[order, :, 0], first)
-            cross = np.add.reduceat((own @ group.by_shared)[order], first)
-            W[blocks[:, None], :, group.columns] += np.swapaxes(cross, 1, 2)
+            own = np.swapaxes(group.by_instant * weights[:, None, None], 1, 2)
+            order = np.argsort(group.instant, kind="stable")
+            seen, first = np.unique(group.instant[order], return_index=True)
+            V[seen] += np.add.reduceat((own @ group.by_instant)[order], first)
+            h[seen] += np.add.reduceat((own @ group.residuals[:, :, None])[order, :, 0], first)
+            cross = np.add.reduceat((own @ by_shared)[order], first)
+            W[seen[:, None], :, columns] += np.swapaxes(cross, 1, 2)
     return _NormalEquations(U, V, W, g, h)
-
-
-class Columns:
-    """Numbers the shared parameters, kind after kind."""
-
-    size = 0
-
-    def __call__(self, count: int) -> Ints:
-        """The columns of the next `count` parameters."""
-        self.size += count
-        return np.arange(self.size - count, self.size)
-
-
-def prior_rows(off: Floats, root: Floats, columns: Ints, size: int) -> tuple[Floats, Floats]:
-    """Whitened residual and derivative rows (m, size) of a prior with R^T R its information."""
-    rows = np.zeros((len(root), size))
-    rows[:, columns] = root
-    return root @ off, rows
 
 
 def root_information(covariance: Floats, jitter: float = 0.0) -> Floats:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from measure.arrays import Floats
-from measure.calibration.least_squares import Group, Linearised, solve
 from measure.errors import CalibrationError
+from measure.estimation.least_squares import Group, Linearised, solve
 from measure.estimation.losses import Huber
 
 
@@ -16,14 +16,14 @@ def problem(x: Floats, y: Floats, state: tuple[Floats, Floats]) -> Linearised:
     residuals = (y - a * x - offsets[:, None]).reshape(-1, 1)
     by_shared = np.tile(x, rows).reshape(-1, 1, 1)
     block = np.repeat(np.arange(rows), points)
-    group = Group(residuals, np.array([0]), by_shared, block, np.ones((rows * points, 1, 1)))
-    return Linearised((group,), 1, rows, np.zeros(0), np.zeros((0, 1)))
+    group = Group(residuals, {"slope": by_shared}, block, np.ones((rows * points, 1, 1)))
+    return Linearised((group,), {"slope": 1}, rows)
 
 
 def fit(x: Floats, y: Floats, loss: Huber | None = None) -> tuple[Floats, Floats, Floats]:
     solution = solve(
         lambda state: problem(x, y, state),
-        lambda state, shared, blocks: (state[0] + shared, state[1] + blocks[:, 0]),
+        lambda state, shared, own: (state[0] + shared["slope"], state[1] + own[:, 0]),
         (np.zeros(1), np.zeros(len(y))),
         loss,
     )
