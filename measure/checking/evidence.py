@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
+from measure.estimation.rig_model import Placed, linearise_view
 from measure.geometry import RigidTransform, chart_jacobian
 from measure.model import Body, Camera, Detection
 
@@ -55,17 +56,6 @@ class Linear(NamedTuple):
     residuals: Floats  # (n, 3) seen minus expected: two coordinates and the size
     by_pose: Floats  # (n, 3, 6) derivative of what is expected by the pose of its instant
     by_rig: Floats  # (n, 3, p) and by the parameters of the rig
-
-
-class _Placed(NamedTuple):
-    """The balls of m views of one camera when their pictures were taken."""
-
-    points: Floats  # (m, 3) their centres in the world
-    arms: Floats  # (m, 3) from the body's origin to them, in the world
-    turns: Floats  # (m, 3, 3) from the body's axes to the world's
-    speed: Floats  # (m, 3) mm/s
-    lines: Floats  # (m,) the row they appear in, from -0.5 at the top to 0.5 at the bottom
-    radii: Floats  # (m,) mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,14 +100,11 @@ class Evidence:
         size_px = np.hypot(alike_px, np.sqrt([d.variance_px2 for _, d in rows]))
         whitening[:, 2, 2] = radii / size_px
         centers = np.stack([d.center_px for _, d in rows])
-        poses = [s.world_from_body for s in sightings]
         return cls(
             body,
             cameras,
             np.array([s.time_s for s in sightings]),
-            RigidTransform(
-                np.stack([p.rotation for p in poses]), np.stack([p.translation for p in poses])
-            ),
+            RigidTransform.stack([s.world_from_body for s in sightings]),
             np.stack([s.velocity for s in sightings]),
             np.array([k for k, _ in rows]),
             np.array([index[d.camera] for _, d in rows]),
@@ -140,7 +127,7 @@ class Evidence:
         return replace(
             self,
             times_s=self.times_s[kept],
-            poses=_each(self.poses, np.flatnonzero(kept)),
+            poses=self.poses[np.flatnonzero(kept)],
             velocities=self.velocities[kept],
             **own,
         )
@@ -208,72 +195,58 @@ class Evidence:
         self, index: int, stated: Camera, rows: Ints, poses: RigidTransform, rig: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """What one camera is expected to see (m, 3), and its derivatives."""
-        own = rig[PER_CAMERA * index : PER_CAMERA * (index + 1)]
-        camera, at = altered(stated, own), self._placed(stated, rows, poses, rig, own)
-        pixels, by_world, by_pose, by_lens = camera.project_with_jacobians(at.points)
-        away = at.points - camera.center
-        nearer = -away / np.sum(away**2, axis=1)[:, None]  # by which the size grows with the point
-        radius_px = _outline_px(by_world, at.radii, away)
-        edge = self.shared(EDGE)
-        size = np.log(radius_px) + rig[edge] / radius_px
-        by_point = np.concatenate([by_world, nearer[:, None]], axis=1)
-        out = np.zeros((len(rows), 3, self.size))
-        axes, first = camera.world_from_camera.rotation, PER_CAMERA * index
+        own, balls = rig[PER_CAMERA * index : PER_CAMERA * (index + 1)], self.balls[rows]
+        camera, height, every = (
+            altered(stated, own),
+            stated.intrinsics.size_wh[1],
+            np.arange(len(rows)),
+        )
+        # The row they appear in, from -0.5 at the top to 0.5 at the bottom.
+        lines = (self.seen[rows, 1] - (height - 1) / 2) / height
+        late_s = self.lead_s[rows] + own[CLOCK] + own[ROLL] * lines
+        centers, radii = self._balls(rig, balls)
+        seen = linearise_view(
+            camera, self._placed(self.instants[rows], late_s, poses, centers), radii
+        )
+        axes, focal = camera.world_from_camera.rotation, np.diag(camera.intrinsics.matrix)[:2, None]
+        out, first = np.zeros((len(rows), 3, self.size)), PER_CAMERA * index
         mine = out[:, :, first : first + PER_CAMERA]
-        mine[:, :2, TURN] = by_pose[:, :, 3:] @ axes
-        mine[:, :2, SHIFT] = by_pose[:, :, :3] @ axes
-        mine[:, 2, SHIFT] = -nearer @ axes
-        mine[:, :2, FOCAL] = by_lens[:, :, :2] @ np.diag(camera.intrinsics.matrix)[:2, None]
-        mine[:, 2, FOCAL] = 1.0
-        mine[:, :2, POINT] = by_lens[:, :, 2:4]
-        mine[:, :, CLOCK] = by_point @ at.speed[:, :, None]
-        mine[:, :, ROLL] = mine[:, :, CLOCK] * at.lines[:, None, None]
-        out[:, :, self.shared(SPREAD)] = np.einsum("nij,nj->ni", by_point, at.arms)
-        out[:, :, self.shared(SCALE)] = out[:, :, self.shared(SPREAD)]
-        out[:, 2, self.shared(SCALE)] += 1.0
-        out[:, 2, edge] = 1 / radius_px
-        balls = self.balls[rows]
-        aside = self.shared(ASIDE)
-        pixels = pixels + rig[aside : aside + 2]
+        mine[:, :, TURN] = seen.by_camera[:, :, 3:6] @ axes
+        mine[:, :, SHIFT] = seen.by_camera[:, :, :3] @ axes
+        mine[:, :, FOCAL] = seen.by_camera[:, :, 6:8] @ focal
+        mine[:, :, POINT] = seen.by_camera[:, :, 8:10]
+        mine[:, :, CLOCK] = seen.by_time
+        mine[:, :, ROLL] = seen.by_time * lines[:, None, None]
+        scale, spread, edge, aside = map(self.shared, (SCALE, SPREAD, EDGE, ASIDE))
+        out[:, :, spread] = out[:, :, scale] = np.einsum("nij,nj->ni", seen.by_point, centers)
+        out[:, 2, scale] += 1.0
+        out[:, 2, edge] = np.exp(-seen.expected[:, 2])
         out[:, :2, aside : aside + 2] = np.eye(2)
-        out[np.arange(len(rows)), 2, self.radius(0) + balls] = 1.0
-        for ball in range(len(self.body.balls)):
-            its = balls == ball
-            columns = self.place(ball)
-            out[its, :, columns[0] : columns[-1] + 1] = by_point[its] @ at.turns[its]
-        return np.column_stack([pixels, size]), by_point @ chart_jacobian(at.arms), out
+        out[every, 2, self.radius(0) + balls] = 1.0
+        places = np.array(self.place(0)) + 3 * balls[:, None]
+        out[every[:, None], :, places] = np.swapaxes(seen.by_point, 1, 2)
+        common = np.array([*rig[aside : aside + 2], rig[edge]])
+        offsets = np.column_stack([np.ones((len(rows), 2)), out[:, 2, edge]]) * common
+        return seen.expected + offsets, seen.by_pose, out
 
     def _placed(
-        self, camera: Camera, rows: Ints, poses: RigidTransform, rig: Floats, own: Floats
-    ) -> _Placed:
-        """The balls of some views when their pictures were taken."""
-        instants = self.instants[rows]
-        height = camera.intrinsics.size_wh[1]
-        lines = (self.seen[rows, 1] - (height - 1) / 2) / height
-        moved, twist = self._moved(instants, self.lead_s[rows] + own[CLOCK] + own[ROLL] * lines)
-        placed = moved @ _each(poses, instants)
-        centers, radii = self._arms(rig, self.balls[rows])
-        arms = placed.rotate(centers)
-        speed = np.einsum("nij,nj->ni", chart_jacobian(arms), twist)
-        return _Placed(placed.translation + arms, arms, placed.rotation, speed, lines, radii)
+        self, instants: Ints, late_s: Floats, poses: RigidTransform, centers: Floats
+    ) -> Placed:
+        """Places (n, 3) in the body so much later than instants (n,), by the velocity there.
 
-    def _moved(self, instants: Ints, lead_s: Floats) -> tuple[RigidTransform, Floats]:
-        """How the body has moved some time after instants (m,), and its velocity (m, 6) then.
-
-        By the velocity at the instant that is nearest to that time.
+        That is the velocity at the instant that is nearest to that time.
         """
-        due = self.times_s[instants] + lead_s
+        due = self.times_s[instants] + late_s
         middles = (self.times_s[1:] + self.times_s[:-1]) / 2
-        near = np.searchsorted(middles, due)
-        near = np.where(np.abs(lead_s) < _AT_ONCE_S, instants, near)
+        near = np.where(np.abs(late_s) < _AT_ONCE_S, instants, np.searchsorted(middles, due))
         velocity = self.velocities[near]
-        then = _each(self.poses, near).perturb(velocity * (due - self.times_s[near])[:, None])
-        before = _each(self.poses, instants)
-        turn = then.rotation @ np.swapaxes(before.rotation, 1, 2)
-        way = then.translation - np.einsum("nij,nj->ni", turn, before.translation)
-        return RigidTransform(turn, way), velocity
+        then = self.poses[near].perturb(velocity * (due - self.times_s[near])[:, None])
+        placed = then @ self.poses[instants].inverse() @ poses[instants]
+        arms = placed.rotate(centers)
+        speed = np.einsum("nij,nj->ni", chart_jacobian(arms), velocity)
+        return Placed(placed.translation + arms, arms, placed.rotation, speed)
 
-    def _arms(self, rig: Floats, balls: Ints) -> tuple[Floats, Floats]:
+    def _balls(self, rig: Floats, balls: Ints) -> tuple[Floats, Floats]:
         """Places (m, 3) in the body and radii (m,) of balls."""
         scale, spread = rig[self.shared(SCALE)], rig[self.shared(SPREAD)]
         count = len(self.body.balls)
@@ -283,32 +256,14 @@ class Evidence:
         return centers[balls], (self.body.radii * np.exp(grown + scale))[balls]
 
 
-def _each(poses: RigidTransform, index: Ints) -> RigidTransform:
-    return RigidTransform(poses.rotation[index], poses.translation[index])
-
-
-def _outline_px(by_world: Floats, radii: Floats, away: Floats) -> Floats:
-    """Mean radii (m,) of outlines of spheres so far `away` (m, 3); NaN for those without."""
-    enlarged = np.linalg.svd(np.nan_to_num(by_world), compute_uv=False)[:, :2].mean(axis=1)
-    sine = np.minimum(radii / np.linalg.norm(away, axis=1), _WIDEST_SINE)
-    radius_px = enlarged * radii / np.sqrt(1 - sine**2)
-    return np.where(radius_px > 0, radius_px, np.nan)
-
-
 _OF_VIEWS = ("instants", "views", "balls", "seen", "whitening", "lead_s")
-_WIDEST_SINE = 0.9  # Of a ball's half-angle: nearer ones are nowhere
 
 
 def altered(camera: Camera, change: Floats) -> Camera:
     """A camera with so much added to its parameters."""
     if not np.any(change[:9]):
         return camera
-    axes = camera.world_from_camera.rotation
-    step = np.concatenate([axes @ change[SHIFT], axes @ change[TURN]])
-    matrix = camera.intrinsics.matrix.copy()
-    matrix[:2, :2] *= np.exp(change[FOCAL])
-    matrix[:2, 2] += change[POINT]
-    lens = replace(camera.intrinsics, matrix=matrix)
-    return replace(
-        camera, intrinsics=lens, world_from_camera=camera.world_from_camera.perturb(step)
-    )
+    axes, focal = camera.world_from_camera.rotation, np.diag(camera.intrinsics.matrix)[:2]
+    pose = np.concatenate([axes @ change[SHIFT], axes @ change[TURN]])
+    lens = np.concatenate([focal * np.expm1(change[FOCAL]), change[POINT], np.zeros(8)])
+    return camera.perturb(np.concatenate([pose, lens]))
