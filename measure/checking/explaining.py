@@ -27,6 +27,7 @@ from measure.checking.hypotheses import (
     of_camera,
     wandering,
 )  # fmt: skip
+from measure.estimation.least_squares import summed
 from measure.estimation.losses import Huber
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.geometry.covariance import symmetric_inverse
@@ -337,19 +338,17 @@ class _Normal(NamedTuple):
         length = np.linalg.norm(residuals, axis=1)
         weight = _LOSS.weights(length)
         weighted = weight[:, None, None] * np.swapaxes(by_pose, 1, 2)
-        count, q = len(evidence.times_s), by_others.shape[2]
-        V = np.zeros((count, 6, 6))
-        W, h = np.zeros((count, 6, q)), np.zeros((count, 6))
-        np.add.at(V, evidence.instants, weighted @ by_pose)
-        np.add.at(W, evidence.instants, weighted @ by_others)
-        np.add.at(h, evidence.instants, np.einsum("nij,nj->ni", weighted, residuals))
+        count = len(evidence.times_s)
+        V, W, h = (
+            summed(weighted @ by, evidence.instants, count)
+            for by in (by_pose, by_others, residuals[:, :, None])
+        )
         inverse = _inverses(V)
         adapts = inverse @ W
         own = weight[:, None, None] * (by_others - by_pose @ adapts[evidence.instants])
-        normal, right = np.zeros((count, q, q)), np.zeros((count, q))
-        np.add.at(normal, evidence.instants, np.swapaxes(own, 1, 2) @ by_others)
-        np.add.at(right, evidence.instants, np.einsum("niq,ni->nq", own, residuals))
-        steps = np.einsum("kij,kj->ki", inverse, h)
+        normal = summed(np.swapaxes(own, 1, 2) @ by_others, evidence.instants, count)
+        right = summed(np.einsum("niq,ni->nq", own, residuals), evidence.instants, count)
+        steps = (inverse @ h)[:, :, 0]
         cost, capped = _LOSS.cost(length), _LOSS.cost(np.minimum(length, _WORST_SIGMAS))
         return cls(normal, right, own, steps, adapts, cost, capped)
 

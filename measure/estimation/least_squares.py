@@ -262,13 +262,19 @@ def _normal_equations(lin: Linearised, loss: Huber) -> _NormalEquations:
         g[columns] += weighted.reshape(rows.shape).T @ group.residuals.reshape(-1)
         if f:
             own = np.swapaxes(group.by_instant * weights[:, None, None], 1, 2)
-            order = np.argsort(group.instant, kind="stable")
-            seen, first = np.unique(group.instant[order], return_index=True)
-            V[seen] += np.add.reduceat((own @ group.by_instant)[order], first)
-            h[seen] += np.add.reduceat((own @ group.residuals[:, :, None])[order, :, 0], first)
-            cross = np.add.reduceat((own @ by_shared)[order], first)
-            W[seen[:, None], :, columns] += np.swapaxes(cross, 1, 2)
+            V += summed(own @ group.by_instant, group.instant, f)
+            h += summed((own @ group.residuals[:, :, None])[:, :, 0], group.instant, f)
+            W[:, :, columns] += summed(own @ by_shared, group.instant, f)
     return _NormalEquations(U, V, W, g, h)
+
+
+def summed(rows: Floats, instant: Ints, count: int) -> Floats:
+    """Sums (count, ...) of the rows (n, ...) of each instant."""
+    order = np.argsort(instant, kind="stable")
+    seen, first = np.unique(instant[order], return_index=True)
+    out = np.zeros((count, *rows.shape[1:]))
+    out[seen] = np.add.reduceat(rows[order], first)
+    return out
 
 
 def root_information(covariance: Floats, jitter: float = 0.0) -> Floats:

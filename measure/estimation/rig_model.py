@@ -187,11 +187,14 @@ class RigProblem:
         }
         if views.offset is not None:
             parts[f"offsets {camera.name}"] = np.tile(np.eye(2), (len(whole), 1, 1)), views.offset
-        by_block = {
-            name: root @ _by_free(*parts[name], free)
-            for name, free in self.free.items()
-            if name in parts
-        }
+        by_block = {}
+        for name in [name for name in self.free if name in parts]:
+            # Each row depends on the parameters of its own point, pose or offset alone.
+            (by_own, own), free = parts[name], self.free[name]
+            mine = own[:, None] == free // by_own.shape[2]
+            if mine.any():
+                by_free = by_own[:, :, free % by_own.shape[2]] * mine[:, None]
+                by_block[name] = root @ by_free
         left = (root @ _left(views, seen.expected, state)[:, :, None])[:, :, 0]
         return Group(left, by_block, views.pose, root @ seen.by_pose)
 
@@ -202,15 +205,3 @@ def _left(views: Views, predicted: Floats, state: RigState) -> Floats:
         name = state.cameras[views.camera].name
         predicted = predicted + state.values[f"offsets {name}"][views.offset]
     return views.pixels - predicted
-
-
-def _by_free(by_own: Floats, own: Ints, free: Ints) -> Floats:
-    """Derivatives (n, r, q) by the free parameters of many things; each row depends on one thing.
-
-    Args:
-        by_own: (n, r, d) by the d parameters of its own.
-        own: (n,) which thing that is.
-        free: (q,) which parameters are free, those of all things one after the other.
-    """
-    size = by_own.shape[2]
-    return by_own[:, :, free % size] * (own[:, None] == free // size)[:, None]
