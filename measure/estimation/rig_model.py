@@ -159,12 +159,9 @@ class RigProblem:
 
     def residuals_px(self, state: RigState) -> list[Floats]:
         """By view, what is left (n, 2) of its observations."""
-        predicted = (
-            state.cameras[v.camera].project(self._placed(v, state).points) for v in self.views
-        )
-        return [
-            _left(views, pixels, state) for views, pixels in zip(self.views, predicted, strict=True)
-        ]
+        cameras, points = state.cameras, [self._placed(seen, state).points for seen in self.views]
+        both = zip(self.views, points, strict=True)
+        return [_left(seen, cameras[seen.camera].project(at), state) for seen, at in both]
 
     def _placed(self, views: Views, state: RigState) -> Placed:
         points, turns = state.values["points"][views.point], state.poses.rotation[views.pose]

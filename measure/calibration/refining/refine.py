@@ -102,11 +102,11 @@ def refine_rig(
         tolerance_mm = body.tolerance_mm or USUAL_RADIUS_TOLERANCE_MM
     places = ball_places(recording.world_from_body, body.centers)
     prior = CameraPrior(cameras, workspace_grid(places), joint_covariance)
-    problem = _Refining(recording, _start(cameras, body, recording), tolerance_mm)
+    start = _start(cameras, body, recording)
     if not clocks_are_exact:
         clocks = {f"clock {camera.name}": np.zeros(1) for camera in cameras[1:]}
-        start = replace(problem.start, values={**problem.start.values, **clocks})
-        problem = replace(problem, start=start)
+        start = replace(start, values={**start.values, **clocks})
+    problem = _Refining(recording, start, tolerance_mm)
     return _settled(problem, prior, settings, variance_factor)
 
 
