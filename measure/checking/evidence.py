@@ -195,26 +195,18 @@ class Evidence:
         self, index: int, stated: Camera, rows: Ints, poses: RigidTransform, rig: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """What one camera is expected to see (m, 3), and its derivatives."""
-        own, balls = rig[PER_CAMERA * index : PER_CAMERA * (index + 1)], self.balls[rows]
-        camera, height, every = (
-            altered(stated, own),
-            stated.intrinsics.size_wh[1],
-            np.arange(len(rows)),
-        )
+        own, first = rig[PER_CAMERA * index : PER_CAMERA * (index + 1)], PER_CAMERA * index
+        balls, every, height = self.balls[rows], np.arange(len(rows)), stated.intrinsics.size_wh[1]
         # The row they appear in, from -0.5 at the top to 0.5 at the bottom.
         lines = (self.seen[rows, 1] - (height - 1) / 2) / height
         late_s = self.lead_s[rows] + own[CLOCK] + own[ROLL] * lines
         centers, radii = self._balls(rig, balls)
-        seen = linearise_view(
-            camera, self._placed(self.instants[rows], late_s, poses, centers), radii
-        )
-        axes, focal = camera.world_from_camera.rotation, np.diag(camera.intrinsics.matrix)[:2, None]
-        out, first = np.zeros((len(rows), 3, self.size)), PER_CAMERA * index
+        at = self._placed(self.instants[rows], late_s, poses, centers)
+        camera = altered(stated, own)
+        seen = linearise_view(camera, at, radii)
+        out = np.zeros((len(rows), 3, self.size))
         mine = out[:, :, first : first + PER_CAMERA]
-        mine[:, :, TURN] = seen.by_camera[:, :, 3:6] @ axes
-        mine[:, :, SHIFT] = seen.by_camera[:, :, :3] @ axes
-        mine[:, :, FOCAL] = seen.by_camera[:, :, 6:8] @ focal
-        mine[:, :, POINT] = seen.by_camera[:, :, 8:10]
+        mine[:, :, : CLOCK.start] = seen.by_camera @ _by_own_axes(camera)
         mine[:, :, CLOCK] = seen.by_time
         mine[:, :, ROLL] = seen.by_time * lines[:, None, None]
         scale, spread, edge, aside = map(self.shared, (SCALE, SPREAD, EDGE, ASIDE))
@@ -225,9 +217,8 @@ class Evidence:
         out[every, 2, self.radius(0) + balls] = 1.0
         places = np.array(self.place(0)) + 3 * balls[:, None]
         out[every[:, None], :, places] = np.swapaxes(seen.by_point, 1, 2)
-        common = np.array([*rig[aside : aside + 2], rig[edge]])
-        offsets = np.column_stack([np.ones((len(rows), 2)), out[:, 2, edge]]) * common
-        return seen.expected + offsets, seen.by_pose, out
+        common = [edge, aside, aside + 1]
+        return seen.expected + out[:, :, common] @ rig[common], seen.by_pose, out
 
     def _placed(
         self, instants: Ints, late_s: Floats, poses: RigidTransform, centers: Floats
@@ -261,9 +252,17 @@ _OF_VIEWS = ("instants", "views", "balls", "seen", "whitening", "lead_s")
 
 def altered(camera: Camera, change: Floats) -> Camera:
     """A camera with so much added to its parameters."""
-    if not np.any(change[:9]):
+    if not np.any(change[: CLOCK.start]):
         return camera
-    axes, focal = camera.world_from_camera.rotation, np.diag(camera.intrinsics.matrix)[:2]
-    pose = np.concatenate([axes @ change[SHIFT], axes @ change[TURN]])
-    lens = np.concatenate([focal * np.expm1(change[FOCAL]), change[POINT], np.zeros(8)])
-    return camera.perturb(np.concatenate([pose, lens]))
+    own = change[: CLOCK.start].copy()
+    own[FOCAL] = np.expm1(own[FOCAL])
+    return camera.perturb(_by_own_axes(camera) @ own)
+
+
+def _by_own_axes(camera: Camera) -> Floats:
+    """How its pose and intrinsics (18,), see `Camera.perturb`, follow its parameters (9,)."""
+    out = np.zeros((18, CLOCK.start))
+    out[3:6, TURN] = out[:3, SHIFT] = camera.world_from_camera.rotation
+    out[6:8, FOCAL] = np.diag(camera.intrinsics.matrix)[:2, None]
+    out[8:10, POINT] = np.eye(2)
+    return out
