@@ -415,8 +415,7 @@ def _stated(cameras: Sequence[Camera]) -> Floats | None:
     for camera in cameras:
         if camera.covariance is None:
             return None
-        own = [*range(6), *(6 + camera.intrinsics.free)]
-        blocks.append(camera.covariance[np.ix_(own, own)])
+        blocks.append(camera.covariance[np.ix_(camera.free, camera.free)])
     return np.asarray(block_diag(*blocks), dtype=np.float64)
 
 

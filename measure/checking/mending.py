@@ -181,7 +181,7 @@ def _joint_grown(parts: SessionParts, index: int, fresh: Floats) -> SessionParts
     if JOINT_COVARIANCE not in parts.provenance:
         return parts
     joint = np.array(parts.provenance[JOINT_COVARIANCE], dtype=np.float64)
-    first = sum(6 + len(camera.intrinsics.free) for camera in parts.cameras[:index])
+    first = sum(len(camera.free) for camera in parts.cameras[:index])
     joint[first : first + 6, first : first + 6] += fresh
     return replace(parts, provenance={**parts.provenance, JOINT_COVARIANCE: joint})
 

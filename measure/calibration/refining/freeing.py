@@ -104,7 +104,7 @@ class FreedRig:
         follows = np.linalg.solve(P[np.ix_(held, held)], P[np.ix_(held, free)]).T
         known = P[np.ix_(free, free)] - follows @ P[np.ix_(held, free)]
         if joint is not None:
-            ends = np.cumsum([0, *(6 + len(camera.intrinsics.free) for camera in first)])
+            ends = np.cumsum([0, *(len(camera.free) for camera in first)])
             rows = {c.name: end + np.arange(6) for c, end in zip(first, ends[:-1], strict=True)}
             to = np.concatenate([rows[name] for name in self.names])
             change = np.eye(len(joint))

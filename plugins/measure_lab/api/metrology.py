@@ -225,7 +225,7 @@ def _moved(given: Calibration, place: UncertainTransform, origin: str) -> Calibr
     new_from_old = place.transform.inverse()
     notes = dict(given.provenance)
     joint = notes.pop(JOINT_COVARIANCE, None)
-    sizes = [6 + len(c.intrinsics.free) for c in given.cameras]
+    sizes = [len(c.free) for c in given.cameras]
     if joint is not None and len(joint) == sum(sizes):
         turn = np.eye(len(joint))
         for start in np.cumsum([0, *sizes[:-1]]):
