@@ -15,6 +15,7 @@ from measure.calibration.board_views import board_pose, fit_boards, unmirrored
 from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
 from measure.errors import CalibrationError
+from measure.estimation.expected_accuracy import by_each_calibration, pose_by_views
 from measure.estimation.least_squares import LeastSquaresSolution
 from measure.estimation.losses import HUBER_SIGMAS
 from measure.estimation.rig_model import RigState
@@ -363,17 +364,8 @@ def _residuals(board: Board, views: Sequence[_View], pose: RigidTransform) -> Fl
 
 def _covariance(board: Board, views: Sequence[_View], pose: RigidTransform) -> Floats:
     """By the corners' scatter, and by the cameras' covariances through the normal equations."""
-    normal, by_cameras = np.zeros((6, 6)), []
-    for camera, seen in views:
-        places = pose.apply(board.points[seen.ids])
-        _, by_world, by_pose, by_lens = camera.project_with_jacobians(places)
-        J = (by_world @ chart_jacobian(places - pose.translation)).reshape(-1, 6)
-        normal += J.T @ J
-        if camera.covariance is not None:
-            K = np.concatenate([by_pose, by_lens], axis=2).reshape(len(J), -1)
-            by_cameras.append((J.T @ K, camera.covariance))
+    placed = [(camera, pose.apply(board.points[seen.ids])) for camera, seen in views]
+    by_corners, by_cameras = pose_by_views(placed, pose)
     off = _residuals(board, views, pose)
     variance = max(float(off @ off) / max(len(off) - 6, 1), _LEAST_SD_PX**2)
-    inverse = np.linalg.inv(normal)
-    shared = sum((inverse @ G @ P @ G.T @ inverse for G, P in by_cameras), np.zeros((6, 6)))
-    return np.asarray(variance * inverse + shared)
+    return variance * by_corners + by_each_calibration([c for c, _ in views], by_cameras)

@@ -6,7 +6,7 @@ least-squares pose by -(J^T J)^-1 J^T d, and the covariance of d travels through
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -111,33 +111,50 @@ def pose_by_cameras(
         cameras: that see the body.
         pose: world_from_body.
     """
-    points = pose.apply(body.centers)
-    by_motion = chart_jacobian(points - pose.translation)
+    return pose_by_views([(camera, pose.apply(body.centers)) for camera in cameras], pose)[1]
+
+
+def pose_by_views(
+    views: Sequence[tuple[Camera, Floats]], pose: RigidTransform
+) -> tuple[Floats, tuple[Floats, ...]]:
+    """The pose of what carries points, by pixels of equal weight.
+
+    Args:
+        views: cameras, and points (n, 3) in the world that each sees.
+        pose: world_from_body.
+
+    Returns:
+        Its covariance (6, 6) for pixels of variance 1, and how it moves (6, 18) with each camera's
+        pose and lens; not at all where that sees no image of a point.
+    """
     normal, parts = np.zeros((6, 6)), []
-    for camera in cameras:
-        _, by_world, by_pose, by_lens = camera.project_with_jacobians(points)
+    for camera, points in views:
+        _, by_world, *by_camera = camera.project_with_jacobians(points)
         if not np.all(np.isfinite(by_world)):
             parts.append(np.zeros((6, 18)))
             continue
-        J = (by_world @ by_motion).reshape(-1, 6)
+        J = (by_world @ chart_jacobian(points - pose.translation)).reshape(-1, 6)
         normal += J.T @ J
-        parts.append(J.T @ np.concatenate([by_pose, by_lens], axis=2).reshape(-1, 18))
+        parts.append(J.T @ np.concatenate(by_camera, axis=2).reshape(-1, 18))
     scale = 1 / np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
-    return tuple(inverse @ part for part in parts)
+    return inverse, tuple(inverse @ part for part in parts)
+
+
+def by_each_calibration(cameras: Iterable[Camera], parts: Iterable[Floats]) -> Floats:
+    """What the cameras' own covariances do to a pose (6, 6) that moves (6, 18) with each camera."""
+    known = ((c.covariance, part) for c, part in zip(cameras, parts, strict=True))
+    return sum((J @ P @ J.T for P, J in known if P is not None), np.zeros((6, 6)))
 
 
 def _calibration_covariance(
     cameras: Sequence[Camera], body: Body, pose: RigidTransform, covariance: Floats | None
 ) -> Floats:
-    parts = list(zip(cameras, pose_by_cameras(cameras, body, pose), strict=True))
+    parts = pose_by_cameras(cameras, body, pose)
     if covariance is None:
-        return sum(
-            (part @ c.covariance @ part.T for c, part in parts if c.covariance is not None),
-            np.zeros((6, 6)),
-        )
-    known = [part.take([*range(6), *(6 + c.intrinsics.free)], axis=1) for c, part in parts]
-    by_cameras = np.concatenate(known, axis=1)
+        return by_each_calibration(cameras, parts)
+    both = zip(cameras, parts, strict=True)
+    by_cameras = np.concatenate([part[:, camera.free] for camera, part in both], axis=1)
     return by_cameras @ covariance @ by_cameras.T
 
 

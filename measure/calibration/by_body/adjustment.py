@@ -18,7 +18,7 @@ from measure.calibration.by_body.linking import LinkedRig
 from measure.calibration.common_views import columns_of, shape_errors
 from measure.calibration.refining.freeing import FREE_SD, HELD_SD, joint_prior
 from measure.calibration.refining.procedure import compare_halves
-from measure.calibration.refining.recording import Recording, Track, ball_places
+from measure.calibration.refining.recording import Recording, ball_places, tracks_of
 from measure.calibration.refining.refine import Refinement, refine_rig
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
@@ -38,16 +38,11 @@ def loose_prior(cameras: Sequence[Camera]) -> Floats:
 
 def recording_of_links(linked: LinkedRig, body: Body) -> Recording:
     """What single pictures show, for an adjustment before anything is measured."""
-    rows: dict[str, list[tuple[int, int, Floats, Floats, float]]] = {}
-    for number, instant in enumerate(linked.instants):
-        for d in instant.seen:
-            lead = d.time_s - instant.time_s
-            own = rows.setdefault(d.camera, [])
-            own.append((number, body.index(d.ball), d.center_px, d.covariance_px, lead))
+    seen = [(k, d, d.time_s - i.time_s) for k, i in enumerate(linked.instants) for d in i.seen]
     return Recording(
         np.array([instant.time_s for instant in linked.instants]),
         RigidTransform.stack([instant.world_from_body for instant in linked.instants]),
-        {n: Track(*map(np.array, zip(*seen, strict=True))) for n, seen in rows.items()},
+        tracks_of(seen, body),
     )
 
 

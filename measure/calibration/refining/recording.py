@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -171,17 +171,24 @@ def _tracks(
     lead_s: Callable[[Detection], float] | None,
     doubtful_too: bool,
 ) -> dict[str, Track]:
+    return tracks_of(
+        [
+            (number, d, d.time_s - m.time_s + (0.0 if lead_s is None else lead_s(d)))
+            for number, m in enumerate(kept)
+            for view in m.views
+            if (d := view.detection) is not None and _usable(view, doubtful_too)
+        ],
+        body,
+    )
+
+
+def tracks_of(seen: Iterable[tuple[int, Detection, float]], body: Body) -> dict[str, Track]:
+    """By camera, what was seen: numbers of frame sets, detections, and how much later, s."""
     rows: dict[str, list[tuple[int, int, Floats, Floats, float]]] = {}
-    for number, m in enumerate(kept):
-        for view in m.views:
-            d = view.detection
-            if d is None or not _usable(view, doubtful_too):
-                continue
-            lead = d.time_s - m.time_s + (0.0 if lead_s is None else lead_s(d))
-            rows.setdefault(d.camera, []).append(
-                (number, body.index(d.ball), d.center_px, d.covariance_px, lead)
-            )
-    return {n: Track(*map(np.array, zip(*seen, strict=True))) for n, seen in rows.items()}
+    for number, d, lead_s in seen:
+        row = number, body.index(d.ball), d.center_px, d.covariance_px, lead_s
+        rows.setdefault(d.camera, []).append(row)
+    return {n: Track(*map(np.array, zip(*own, strict=True))) for n, own in rows.items()}
 
 
 class BallMotion:
