@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 BOUNDS = {
-    "code": 58_045,  # 42,000 is wanted
-    "core": 30_865,  # 23,000 is wanted
+    "code": 57_947,  # 42,000 is wanted
+    "core": 30_753,  # 23,000 is wanted
     "tests": 44_066,  # lines of their files; 31,000 is wanted
 }
 NO_CODE = {
