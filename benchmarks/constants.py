@@ -23,7 +23,7 @@ import numpy as np
 from measure.calibration import refine_rig
 from measure.calibration.extrinsics import fit_rig_with_boards
 from measure.geometry import RigidTransform
-from measure.model import Body
+from measure.model import Body, Doubt
 from tests.calibration.refining import cases
 from tests.calibration.rigs import rig
 from tests.checking import test_causes as faults
@@ -88,7 +88,7 @@ def tracking() -> Outcome:
             out += [one.status.name, one.reason, *(v.reason.name for v in one.views)]
             if one.pose is not None:
                 off = one.pose.world_from_body.difference(tracked.path(one.pose.time_s))
-                out += [flag.partition(":")[0][:30] for flag in one.pose.flags]
+                out += [Doubt.of(flag).code for flag in one.pose.flags]
                 out += [float(np.linalg.norm(off[:3])), *np.diag(one.pose.covariance)]
     return out
 

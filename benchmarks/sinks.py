@@ -67,7 +67,7 @@ def camera(name: str, x_mm: float) -> Camera:
 def measurement(index: int, time_s: float, aside_mm: float = 0.0) -> Measurement:
     """A pose on a smooth path; every tenth is flagged, every fiftieth lost."""
     if index % 50 == 49:
-        return Measurement(index, time_s, {}, (), (), None, Status.LOST, "too few balls")
+        return Measurement(index, time_s, {}, (), (), None, Status.LOST, ("too few balls",))
     turn = [0.3 * np.sin(time_s), 0.2 * np.cos(2 * time_s), 0.5 * time_s]
     shift = [aside_mm + 30 * np.sin(2 * time_s), 20 * np.cos(time_s), 250 + 9 * np.sin(3 * time_s)]
     flags = ("the balls are far apart",) if index % 10 == 9 else ()

@@ -1,7 +1,8 @@
 """Pages that MkDocs makes from the program when it builds the site (`hooks` in mkdocs.yml).
 
 `cli.md` holds the help of every command, `settings.md` every setting of the built-in plugins and
-profiles, `reference/plugins.md` what a plugin may use.
+profiles, `reference/findings.md` the codes of findings, and
+`reference/plugins.md` what a plugin may use.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from measure.api.profiles import load_profile, profile_names
 from measure.cli import build_app, main
 from measure.host import Loaded, Registry, Setting, describe_settings
 from measure.measuring import Profile
+from measure.model.doubts import sentences
 from measure.neighbours import commands
 
 if TYPE_CHECKING:
@@ -57,6 +59,25 @@ A profile does both. It is a TOML file that you pass with `--profile`; the `run.
 one, too. `--send` chooses a sink. Its settings follow a `?` in the address, or are given as
 `--set SINK.NAME=VALUE` ([sending poses](how_to/send_poses.md)).
 """
+FINDINGS_HEAD = """# Findings
+
+Tables, JSON and the studio carry codes. No program need read a sentence.
+
+## Recordings and rigs
+
+`check`, `run`, `live` and `mend` name causes, such as `clock` or `moved`:
+[codes, what they mean, what mends them](../explanation/what_can_go_wrong.md#causes-that-are-named).
+All other findings, of `calibrate` too, have their topic as code.
+
+## Poses
+
+Why a pose is missing, doubtful (status `flagged`), or made without some pictures. `doubts` of
+[`poses.parquet`](../files.md#columns), of `summary.json` and of what is sent as JSON hold the code
+and, by the names in braces, what varies: names of cameras and balls, and numbers, whose names end
+in their unit. Where several are counted together, a number is a range `[lowest, highest]`, and all
+names are listed. In a run of several bodies, `body` says whose doubt it is.
+
+"""
 SHARED_BY = 4  # An option that means the same in so many commands is described once
 KINDS = {
     "detector": "Detectors",
@@ -75,6 +96,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     pages = {
         "cli.md": command_line_page,
         "settings.md": settings_page,
+        "reference/findings.md": findings_page,
         "reference/plugins.md": plugin_page,
     }
     for address, make in pages.items():
@@ -93,6 +115,16 @@ def command_line_page() -> str:
     parts = [HEAD, _overview(help_of()), _bullets(often)]
     parts += [_command(" ".join(words), page, often) for words, page in pages.items()]
     return "".join(parts)
+
+
+def findings_page() -> str:
+    """The text of `docs/reference/findings.md`."""
+    rows = [
+        [f"`{code}`", re.sub(r":[^{}]*}", "}", row["text"]), row["known"], row["remedy"]]
+        for code, row in sentences().items()
+    ]
+    head = ["code", "sentence", "how it is known", "what mends it"]
+    return f"{FINDINGS_HEAD}\n{table(head, rows)}"
 
 
 class Help(NamedTuple):

@@ -46,5 +46,5 @@ def measurement(index, lost=False):
         () if lost else tuple(positions),
         None if lost else pose,
         Status.LOST if lost else Status.OK,
-        "nothing seen" if lost else "",
+        ("nothing seen",) if lost else (),
     )

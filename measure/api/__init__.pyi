@@ -58,6 +58,7 @@ from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile, relative_measurements
 from measure.measuring.kept_rig import Keep
 from measure.model import Body, Camera, Detection, Image, paper_body
+from measure.model.doubts import counted
 from measure.processes import ProgressClock
 from measure.results.evaluation import evaluation_tables
 from measure.session import (
@@ -81,8 +82,9 @@ __all__ = [
     "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "Workers",
     "begin_marks", "board_frame", "board_length", "body_names", "build_detectors",
     "build_pipeline", "calibrate", "calibrate_by_body", "calibrate_by_body_to", "calibrate_to",
-    "check", "choose", "clicked_color", "demo", "detect", "draw", "draw_target", "drawings",
-    "evaluate", "evaluation_tables", "events", "export", "find_body", "find_target", "inside",
+    "check", "choose", "clicked_color", "counted", "demo", "detect", "draw", "draw_target",
+    "drawings", "evaluate", "evaluation_tables", "events", "export", "find_body", "find_target",
+    "inside",
     "is_session", "learnt_colors", "load_profile", "mark_event", "measure_bodies",
     "measure_session", "mend", "new_folder", "other_board", "output", "paper_body",
     "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",

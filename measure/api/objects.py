@@ -27,7 +27,7 @@ from measure.host import Registry
 from measure.measuring import Measurement
 from measure.results import Provenance, RunWriter
 from measure.results.run import one_of, runs_of
-from measure.results.tables import SCHEMAS, Rows, frame_set_rows, schemas, texts
+from measure.results.tables import SCHEMAS, Rows, codes, doubts_of, frame_set_rows, schemas, texts
 from measure.session import (
     ArrayStream,
     Calibration,
@@ -197,7 +197,8 @@ class Run:
             table = self._run.poses.to_pandas()
         except ModuleNotFoundError as problem:
             raise ConfigError("to_pandas needs pandas: pip install pandas") from problem
-        return table.drop(columns=["covariance", "flags", "body"], errors="ignore")
+        table["codes"] = [codes(row) for row in doubts_of(self._run.poses)]
+        return table.drop(columns=["covariance", "flags", "doubts", "body"], errors="ignore")
 
     def save(self, folder: Path | str, overwrite: bool = False) -> None:
         """Write a run folder, which `measure view`, `report` and `evaluate` take.
@@ -327,7 +328,7 @@ def _pose(measured: Measurement) -> Pose:
         Rotation.from_rotvec(np.full(3, np.nan) if place is None else place.rotvec),
         np.full((6, 6), np.nan) if pose is None else pose.covariance,
         measured.status,
-        measured.doubts,
+        measured.reason,
     )
 
 

@@ -19,7 +19,7 @@ from measure.model import BallPosition, Pose
 from measure.results import Run
 from measure.results.journal import is_missing
 from measure.results.stored import rows_of_body
-from measure.results.tables import BODY, PLACE, matrices, numbers
+from measure.results.tables import BODY, PLACE, doubts_of, matrices, numbers
 
 
 class Reel:
@@ -81,7 +81,7 @@ class Reel:
             Measurement(
                 *(one.frame, one.time_s, {}, (), tuple(balls[one.frame]), one.pose),
                 status=Status(one.status),
-                reason=one.reason,
+                reasons=one.doubts,
             )
             for one, balls in zip(sent, self._balls, strict=False)
         ]
@@ -93,7 +93,7 @@ class _PlayedBody:
     def __init__(self, table: pa.Table, body: str, reference: str = "") -> None:
         self._body, self._reference = body, reference
         self._rows = table.drop_columns([*PLACE, "covariance"]).to_pylist()
-        self._places = numbers(table, *PLACE)
+        self._places, self._doubts = numbers(table, *PLACE), doubts_of(table)
         self._covariances = matrices(table, "covariance", 6)
 
     def sent(self, number: int, exposed_s: float, known_s: float) -> SentPose:
@@ -121,4 +121,5 @@ class _PlayedBody:
             status=row["status"],
             reason=row["reason"],
             pose=pose,
+            doubts=self._doubts[number],
         )

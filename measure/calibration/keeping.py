@@ -30,6 +30,7 @@ from measure.measuring.kept_rig import HOLDING, CameraChange, KeptRig
 from measure.measuring.tracking.motion_filter import MotionState
 from measure.measuring.tracking.search_windows import predict_windows
 from measure.model import BallView, Body, Camera, Detection, Expectation, FrameSet, Motion, Rig
+from measure.model.doubts import Doubt
 from measure.model.observations import Reason, State
 
 _BLIND_SETS = 5  # Frame sets without a ball where it should be, from which a camera is looked at
@@ -432,5 +433,4 @@ def _left_out(
         else v
         for v in measured.views
     )
-    said = "; ".join(f"{name} was moved, and is left out" for name in away)
-    return replace(measured, views=views).noted(said)
+    return replace(measured, views=views).noted(*(Doubt("moved", camera=n) for n in away))

@@ -17,6 +17,7 @@ from measure.checking.search import SearchSample
 from measure.estimation.expected_accuracy import noise_sd, tolerance_sd
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
+from measure.model.doubts import counted
 
 _MIN_SEEN_SHARE = 0.5
 _MAX_CHANCE_SHARE = 0.1  # Of frame sets with a pose, a second body or a reflection by chance
@@ -56,8 +57,7 @@ def coverage_findings(
     findings: list[Finding] = []
     lost = len(samples) - len(with_pose)
     if lost:
-        reasons = [s.reason for s in samples if s.world_from_body is None]
-        common = max(set(reasons), key=reasons.count)
+        common, *_ = counted([s.reason] for s in samples if s.world_from_body is None)
         fits = any(d.agrees and d.frames > len(samples) / 2 for d in distances)
         by_chance = len(with_pose) <= _MAX_CHANCE_SHARE * len(samples) and not fits
         why = (
@@ -69,7 +69,7 @@ def coverage_findings(
         findings.append(Finding(Level.WRONG if by_chance else Level.WEAK, "balls", text))
     disagreeing = {cause.of for cause in disagreeing_causes(samples)}
     flagged = [s.flags[0] for s in samples if s.flags]  # a second body may be in view
-    reflected = [s.reflection for s in samples if s.reflection is not None]
+    reflected = [s.reflection.note for s in samples if s.reflection is not None]
     mostly = true_colors and len(flagged) > len(samples) / 2
     level = Level.WRONG if mostly else Level.WEAK
     for found, bad in ((flagged, level), (reflected, Level.NOTE)):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,6 +10,7 @@ from measure.checking.finding import Finding, Level
 from measure.measuring.body_size import OutlineGrowth, outline_growth, seen_balls
 from measure.measuring.measurement import Measurement, Status
 from measure.model import Body, Camera
+from measure.model.doubts import counted
 
 _MAX_FLAGGED_SHARE = 0.2
 
@@ -39,11 +39,11 @@ def check_motion(
     posed = [m for m in measurements if m.pose is not None]
     if not measurements:
         return MotionCheck()
-    flags = Counter(m.pose.flags[0] for m in posed if m.pose and m.status is Status.FLAGGED)
+    flags = counted(m.pose.flags[:1] for m in posed if m.pose and m.status is Status.FLAGGED)
     return MotionCheck(
         estimate_clocks(posed, body, cameras),
         len(posed),
-        tuple(flags.most_common()),
+        tuple(flags.items()),
         outline_growth(seen_balls(posed), body, cameras),
     )
 

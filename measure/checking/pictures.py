@@ -17,14 +17,8 @@ from measure.checking.causes import ALL, Cause, Word
 from measure.checking.finding import Finding, Level
 from measure.checking.search import SearchSample
 from measure.limits import CLEAR_RATIO, GAP_PERIODS
-from measure.measuring.image_faults import (
-    SHARP_CAMERAS,
-    DuplicateImages,
-    Smear,
-    smear_in,
-    woven_cameras,
-)
-from measure.model import Detection, FrameSet
+from measure.measuring.image_faults import SHARP_CAMERAS, DuplicateImages
+from measure.model import Detection, Doubt, FrameSet
 from measure.model.observations import FULL
 from measure.reading import listed
 from measure.session.timestamps import StampErrors
@@ -372,21 +366,25 @@ def woven_causes(names: Sequence[str], count: int) -> list[Cause]:
     return [Cause(Word.INTERLACED, of, text, cure, Level.WRONG)]
 
 
-def smear_causes(smear: Smear | None, count: int) -> list[Cause]:
+def smear_causes(smear: Doubt | None, count: int) -> list[Cause]:
     """Cameras, of so many, whose pictures are blurred along one direction."""
     if smear is None:
         return []
     text = f"{smear}, whichever way the balls move (by the widths of their edges)"
     cure = "fix the cameras to what does not shake, and their focus; expose for less time"
-    sharp = count - len(smear.cameras)
+    names = smear.names("cameras")
+    sharp = count - len(names)
     level = Level.WRONG if sharp < SHARP_CAMERAS else Level.WEAK
-    of = ", ".join(smear.cameras) if sharp else ALL
-    return [Cause(Word.BLURRED, of, text, cure, level, smear.width_px, None, "px")]
+    of = ", ".join(names) if sharp else ALL
+    return [Cause(Word.BLURRED, of, text, cure, level, smear.values["width_px"], None, "px")]
 
 
-def told_causes(doubts: Sequence[str], count: int) -> list[Cause]:
-    """Woven and blurred pictures that measurements flag, of so many cameras."""
-    return woven_causes(woven_cameras(doubts), count) + smear_causes(smear_in(doubts), count)
+def seen_causes(doubts: Sequence[Doubt], count: int) -> list[Cause]:
+    """Woven and blurred pictures that measurements name, at last, of so many cameras."""
+    found = {one.code: one for one in doubts}
+    woven = found.get(Word.INTERLACED)
+    names = () if woven is None else woven.names("cameras")
+    return woven_causes(names, count) + smear_causes(found.get(Word.BLURRED), count)
 
 
 _MAX_TINT = 0.15

@@ -11,7 +11,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import align_points
 from measure.limits import SIGNIFICANT_SIGMAS
-from measure.model import Body
+from measure.model import Body, Doubt
 
 _MAX_MIRRORED_RMS_RATIO = 0.5
 """RMS of the mirrored body over the body's own below which the centres are called mirrored."""
@@ -21,7 +21,7 @@ _MIN_THICKNESS_MM = 1.0  # A body thinner than this about its plane is its own m
 def layout_flags(
     body: Body, balls: Sequence[str], centers: Floats, covariances: Floats, tolerance_mm: float
 ) -> tuple[str, ...]:
-    """Reasons to doubt that `centers` are this body's balls, as texts for `Pose.flags`.
+    """Reasons to doubt that `centers` are this body's balls, for `Pose.flags`.
 
     Args:
         body: as its file says.
@@ -35,14 +35,12 @@ def layout_flags(
     stated = covariances + body.center_covariance
     pairs = pair_distances(points_body, centers, stated).tolist()
     flags = [
-        f"balls {one} and {other} are {measured:.1f} mm apart, the body says {expected:.1f} mm"
-        for (one, other), (measured, expected, sd) in zip(
-            combinations(balls, 2), pairs, strict=True
-        )
+        Doubt("distance", balls=both, measured_mm=measured, file_mm=expected)
+        for both, (measured, expected, sd) in zip(combinations(balls, 2), pairs, strict=True)
         if abs(measured - expected) > SIGNIFICANT_SIGMAS * sd + tolerance_mm
     ]
     if looks_mirrored(points_body, centers):
-        flags.append("the balls form the mirror image of the body")
+        flags.append(Doubt("mirror-image"))
     return tuple(flags)
 
 

@@ -28,6 +28,7 @@ from measure.model import (
     Body,
     Camera,
     Detection,
+    Doubt,
     Expectation,
     FrameSet,
     Image,
@@ -211,7 +212,10 @@ Review = Callable[[Mapping[str, Sequence[Detection]]], None]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Conclusion:
-    """An accepted pose, perhaps with flags added and a note, or None and the reason in words."""
+    """An accepted pose, perhaps with flags added and a note, or None and the reason.
+
+    Flags, note and reason are sentences, or `Doubt`s.
+    """
 
     pose: Pose | None  # accepted
     reason: str = ""  # why there is none; with a pose, a note that is no doubt of it
@@ -406,13 +410,15 @@ class SentPose:
     reason: str  # why it is not ok; empty otherwise
     # the pose; its `world_from_body` is reference_from_body where there is a reference.
     pose: Pose | None
+    doubts: tuple[Doubt, ...] = ()  # what `reason` is made of
 
     def plain(self) -> dict[str, Any]:
         """All of it as JSON knows it, by the names of `poses.parquet`; null for NaN."""
         names = ("body", "reference", "time_s", "exposed_s", "known_s", "status", "reason")
         values = {"frame": self.frame, **{name: getattr(self, name) for name in names}}
         values |= {"cameras": (), "balls": (), "flags": (), **pose_columns(self.pose)}
-        return {name: _plain(value) for name, value in values.items()}
+        doubts = [one.plain for one in self.doubts]
+        return {**{name: _plain(value) for name, value in values.items()}, "doubts": doubts}
 
 
 @dataclass(frozen=True, slots=True)

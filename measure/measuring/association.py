@@ -40,7 +40,7 @@ from measure.measuring.pose_hypotheses import (
     score_poses,
 )
 from measure.measuring.second_body import second_body_flags, unexplained
-from measure.model import Body, Camera, Detection, Rig
+from measure.model import Body, Camera, Detection, Doubt, Rig
 
 _MIRRORED_RANGE_RATIO = (
     1.15  # Largest error, as a factor, of the distance that an outline's size implies
@@ -65,13 +65,11 @@ class Reflection:
         own = {id(d) for d in self.detections}
         return {name: [d for d in some if id(d) not in own] for name, some in detections.items()}
 
-    def __str__(self) -> str:
+    @property
+    def note(self) -> Doubt:
         """What is in view, with the plane, and what to do."""
         x, y, z = np.round(self.normal, 2) + 0.0
-        return (
-            f"a mirror image of the body is in view, in a plane {self.distance_mm:.0f} mm from it "
-            f"with the normal ({x:g}, {y:g}, {z:g}): a glossy table, or a pane? cover it"
-        )
+        return Doubt("reflection", distance_mm=self.distance_mm, x=x, y=y, z=z)
 
 
 def find_reflection(
@@ -205,14 +203,13 @@ class _AssociationProblem:
         names = self.body.names
         unseen = [name for name, c in zip(names, self.candidates, strict=True) if not len(c)]
         if len(unseen) == len(names):
-            return "no ball in view of any camera"
+            return Doubt("no-ball")
         if len(names) - len(unseen) < 3:
-            return f"too few balls in view: no candidate for {', '.join(unseen)}"
+            return Doubt("few-balls", balls=unseen)
         apart = [name for name, p in zip(names, points, strict=True) if not len(p.points)]
         if len(names) - len(apart) < 2:
-            are = "is" if len(apart) == 1 else "are"
-            return other_unit() or f"no two cameras agree on where {', '.join(apart)} {are}"
-        return "no three candidates are as far apart as the body's balls"
+            return other_unit() or Doubt("rays-apart", balls=apart)
+        return Doubt("no-triple")
 
 
 def associate(
@@ -284,10 +281,7 @@ def _other_unit(
         )
         found = associate(replace(body, balls=balls), cameras, detections, {})
         if found.world_from_body is not None:
-            return (
-                f"all balls are {mm:.1f} times as large, and as far apart, as the body file says: "
-                f"is it in {unit}?"
-            )
+            return Doubt("body-unit", times=mm, unit=unit)
     return ""
 
 
@@ -425,14 +419,13 @@ def _is_new(
 
 
 def _ambiguous(best: Association, rival: Association) -> str:
-    places = []
-    for found in (best, rival):
-        assert found.world_from_body is not None
-        x, y, z = found.world_from_body.translation
-        places.append(f"({x:.0f}, {y:.0f}, {z:.0f}) mm")
-    if places[0] == places[1]:
-        return f"two poses of the body fit equally well at {places[0]}: nobody can tell which"
-    return f"two bodies fit equally well, at {places[0]} and {places[1]}: take one out of view"
+    assert best.world_from_body is not None
+    assert rival.world_from_body is not None
+    one, other = best.world_from_body.translation, rival.world_from_body.translation
+    (x, y, z), (u, v, w) = one, other
+    if np.array_equal(one.round(), other.round()):
+        return Doubt("two-poses", x_mm=x, y_mm=y, z_mm=z)
+    return Doubt("two-bodies", x_mm=x, y_mm=y, z_mm=z, other_x_mm=u, other_y_mm=v, other_z_mm=w)
 
 
 def warm_up(cameras: Sequence[Camera]) -> None:

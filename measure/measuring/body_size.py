@@ -21,7 +21,7 @@ from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.limits import SIGNIFICANT_SIGMAS
 from measure.measuring.measurement import Measurement
-from measure.model import BallPosition, Body, Camera, Detection, Pose
+from measure.model import BallPosition, Body, Camera, Detection, Doubt, Pose
 from measure.model.body import COMMON_RADIUS_VARIANCE
 from measure.model.observations import stacked_positions
 
@@ -185,11 +185,7 @@ class ScaleMonitor:
         off, sd = self._weighted / self._weight, math.sqrt(self._count / self._weight)
         if abs(off) <= SIGNIFICANT_SIGMAS * sd:
             return measured
-        flag = (
-            f"the balls are {1 + off:.4f} +- {sd:.4f} times as far apart as the body file says: "
-            "the body file or the calibration is off"
-        )
-        return measured.flagged(flag)
+        return measured.flagged(Doubt("scale", times=1 + off, sd=sd))
 
     def _take(self, pose: Pose, positions: Sequence[BallPosition]) -> None:
         """Add one frame set to the mean, and let the older ones count a little less."""

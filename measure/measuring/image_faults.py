@@ -19,9 +19,8 @@ than the scatter of their edges says.
 
 from __future__ import annotations
 
-import re
 from collections import deque
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
@@ -33,7 +32,7 @@ from numpy.typing import NDArray
 from measure.arrays import Bytes, Floats
 from measure.estimation.losses import HUBER_SIGMAS, Huber
 from measure.limits import FEWEST, SIGNIFICANT_SIGMAS, TINY
-from measure.model import Detection, FrameSet, Image
+from measure.model import Detection, Doubt, FrameSet, Image
 
 _ROW_STEP = 32  # Every so many rows are compared
 _MIN_IMAGES = 2  # New images with which a frame set is measured without the duplicates
@@ -50,7 +49,6 @@ _ALIKE = 0.98  # Correlation of blocks: encoded again 0.999; of two cameras at m
 _SAME_LEVELS, _OTHER_LEVELS = 2.0, 10.0
 """Change of a block's mean up to which an image may be encoded again (at JPEG quality 40), and from
 which a body moves: a fifth of a pixel, and a pixel, at the edge of a ball."""
-_LEFT_OUT = re.compile(r"(.+) shows the pictures of (.+)|(.+) repeats its last picture")
 
 
 @dataclass(frozen=True)
@@ -66,15 +64,9 @@ class NewImages:
     """A frame set without duplicates, if two others are left; else the same, and a flag."""
 
     frame_set: FrameSet
-    flag: str  # a doubt of its pose; empty without one
+    flags: tuple[Doubt, ...]  # of its pose
     repeated: tuple[str, ...]  # see `Duplicates`
     shared: tuple[tuple[str, str], ...]
-
-
-def left_out(reasons: Iterable[str]) -> Iterator[tuple[str, str]]:
-    """Cameras whose images are left out, by a measurement's doubts: whose they are, "" if old."""
-    for match in filter(None, map(_LEFT_OUT.fullmatch, reasons)):
-        yield match[1] or match[3], match[2] or ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,13 +145,12 @@ class DuplicateImages:
             out |= {n for pair in found.shared if not self.copies.keys() & {*pair} for n in pair}
         new = {name: image for name, image in images.items() if name not in out}
         if len(new) in (len(images), *range(_MIN_IMAGES)):
-            names = ", ".join(found.repeated)
-            flag = f"the pictures of {names} repeat those before: a stall?" if names else ""
-            return NewImages(frame_set, flag, found.repeated, found.shared)
-        return NewImages(replace(frame_set, images=new), "", found.repeated, found.shared)
+            flags = (Doubt("stall", cameras=found.repeated),) if found.repeated else ()
+            return NewImages(frame_set, flags, found.repeated, found.shared)
+        return NewImages(replace(frame_set, images=new), (), found.repeated, found.shared)
 
-    def judge(self, shared: Collection[tuple[str, str]], used: Collection[str]) -> str:
-        """Find which of two cameras with the same images shows the other's; a flag if unknown.
+    def judge(self, shared: Collection[tuple[str, str]], used: Collection[str]) -> list[Doubt]:
+        """Find which of two cameras with the same images shows the other's; flags if unknown.
 
         Args:
             shared: pairs of cameras, as in `Duplicates`.
@@ -169,9 +160,7 @@ class DuplicateImages:
         fits = [(b, a) if a in used else (a, b) for a, b in shared if (a in used) != (b in used)]
         self.copies = {**self.copies, **dict(fits)}
         open_ = [pair for pair in shared if not self.copies.keys() & {*pair}]
-        return "; ".join(
-            f"{a} and {b} show the same pictures: one device under two names?" for a, b in open_
-        )
+        return [Doubt("same-pictures", cameras=pair) for pair in open_]
 
     def of(self, frame_set: FrameSet, each: Callable[..., Iterable[_Glance]] = map) -> Duplicates:
         """The duplicates among these images and those of the last calls."""
@@ -240,7 +229,6 @@ _LARGEST_STEP = 0.5  # Steps larger than this, in radii, blur the displacement o
 _LATEST_WOVEN, _EVERY = 30, 17
 """Frame sets that are looked at first; and after so many, of how many one."""
 _REMEMBERED = 90  # Outlines of a camera
-_FLAG = re.compile(r"pictures of (.+?) are woven of two instants")
 
 
 class BallStep(NamedTuple):
@@ -298,16 +286,9 @@ class WovenImages:
             self.cameras = sorted(found)
 
     @property
-    def flag(self) -> str:
-        """A doubt of poses that rest on them; empty without one."""
-        names = ", ".join(self.cameras)
-        return f"pictures of {names} are woven of two instants: interlaced?" if names else ""
-
-
-def woven_cameras(flags: Sequence[str]) -> list[str]:
-    """The cameras that `WovenImages.flag` names in any of these texts."""
-    found = (match[1].split(", ") for flag in flags for match in _FLAG.finditer(flag))
-    return sorted({name for names in found for name in names})
+    def flags(self) -> list[Doubt]:
+        """Doubts of poses that rest on them."""
+        return [Doubt("interlaced", cameras=self.cameras)] if self.cameras else []
 
 
 def _are_woven(latest: Sequence[tuple[Floats, Floats]]) -> bool:
@@ -360,35 +341,19 @@ _SMEAR_REACH, _REACH_PX = 0.3, 12.0
 _LEAST_STEP = 15.0  # Levels between both sides of an edge whose width is known
 _ROUNDS = 5  # Of weighting again: a shadow or another ball lies beside some edges
 SHARP_CAMERAS = 2  # From which on a pose rests on cameras without blur as well
-_TEXT = re.compile(r"pictures of (.+?) are blurred by (\d+) px along a line at (-?\d+) deg")
-
-
-@dataclass(frozen=True)
-class Smear:
-    """The blur of some cameras' images along one direction."""
-
-    cameras: tuple[str, ...]
-    width_px: float  # of edges across it, the largest of the cameras'
-    angle_deg: float  # the direction, from the rows towards the columns
-
-    def __str__(self) -> str:
-        names = ", ".join(self.cameras)
-        return (
-            f"pictures of {names} are blurred by {self.width_px:.0f} px along a line at "
-            f"{round(self.angle_deg)} deg to their rows"
-        )
 
 
 class SmearedImages:
     """Judges the latest images of each camera by the edges of balls found in them.
 
     Attributes:
-        smear: the cameras whose images are blurred, beyond chance and whichever way balls move.
+        smear: the cameras whose images are blurred, beyond chance and whichever way balls move,
+            the width of their edges, and the direction from the rows towards the columns.
     """
 
     def __init__(self) -> None:
         self._edges: dict[tuple[str, str], deque[tuple[Floats, Floats]]] = {}
-        self.smear: Smear | None = None
+        self.smear: Doubt | None = None
 
     def add(self, steps: Sequence[BallStep]) -> None:
         """Look at the edges of balls that were seen in two images in a row."""
@@ -400,28 +365,20 @@ class SmearedImages:
         if steps:
             self.smear = self._judged()
 
-    def _judged(self) -> Smear | None:
+    def _judged(self) -> Doubt | None:
         known = {k: s for k, edges in self._edges.items() if (s := _smear(edges)) is not None}
         cameras = {camera for camera, _ in known}
         if len(known) == len(cameras):  # One ball alone may be shaded so in all its pictures
             return None
-        return Smear(tuple(sorted(cameras)), *max(known.values()))
+        width_px, angle_deg = max(known.values())
+        names = sorted(cameras)
+        return Doubt("blurred", cameras=names, width_px=width_px, angle_deg=round(angle_deg))
 
-    def doubt(self, used: Collection[str]) -> tuple[str, bool]:
+    def doubt(self, used: Collection[str]) -> tuple[list[Doubt], bool]:
         """The note on a pose that rests on some cameras, and whether that flags it."""
-        smear = self.smear
-        if smear is None or not {*used} & {*smear.cameras}:
-            return "", False
-        return str(smear), len({*used} - {*smear.cameras}) < SHARP_CAMERAS
-
-
-def smear_in(reasons: Iterable[str]) -> Smear | None:
-    """The blur that texts of measurements name last."""
-    matches = [match for reason in reasons for match in _TEXT.finditer(reason)]
-    if not matches:
-        return None
-    names = sorted({name for match in matches for name in match[1].split(", ")})
-    return Smear(tuple(names), float(matches[-1][2]), float(matches[-1][3]))
+        if self.smear is None or not (smeared := {*used} & {*self.smear.names("cameras")}):
+            return [], False
+        return [self.smear], len({*used} - smeared) < SHARP_CAMERAS
 
 
 def _smear(latest: Sequence[tuple[Floats, Floats]]) -> tuple[float, float] | None:

@@ -17,7 +17,7 @@ from measure.estimation.expected_accuracy import tolerance_covariance
 from measure.estimation.pose_fit import PoseObservations
 from measure.geometry import RigidTransform, chart_jacobian, propagate
 from measure.limits import SINGULAR
-from measure.model import BallPosition, BallView, Body, Camera, Detection, Motion, Pose
+from measure.model import BallPosition, BallView, Body, Camera, Detection, Doubt, Motion, Pose
 
 if TYPE_CHECKING:
     from measure.measuring.kept_rig import KeptRig
@@ -163,7 +163,8 @@ class Measurement:
     positions: tuple[BallPosition, ...]  # at most one per ball
     pose: Pose | None  # the body's pose, None unless `status` is OK or FLAGGED
     status: Status  # OK; FLAGGED (a pose with flags); LOST (no pose); SKIPPED (not tried)
-    reason: str = ""  # why it is not OK, in words; empty otherwise
+    # why it is not OK, but for the flags of its pose; and notes, which leave that as it is.
+    reasons: tuple[str, ...] = ()
     # by (ball, camera), detected minus predicted centre (2,) in px, for every effective view of a
     # frame set with a pose.
     residuals_px: dict[tuple[str, str], Floats] = field(default_factory=dict)
@@ -176,32 +177,37 @@ class Measurement:
     rig: KeptRig | None = None
 
     @property
-    def doubts(self) -> str:
-        """Why it is not OK, its pose's flags included; empty otherwise."""
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Why it is not OK, its pose's flags included, and notes."""
         flags = () if self.pose is None else self.pose.flags
-        return "; ".join(dict.fromkeys(filter(None, (self.reason, *flags))))
+        return tuple(map(Doubt.of, dict.fromkeys((*self.reasons, *flags))))
 
-    def flagged(self, flag: str) -> Measurement:
-        """The same with one more flag of its pose, if it has one."""
-        if self.pose is None:
+    @property
+    def reason(self) -> str:
+        """All of that in words; empty if there is nothing."""
+        return "; ".join(self.doubts)
+
+    def flagged(self, *flags: str) -> Measurement:
+        """The same with more flags of its pose, if it has one."""
+        if self.pose is None or not flags:
             return self
-        pose = replace(self.pose, flags=(*self.pose.flags, flag))
+        pose = replace(self.pose, flags=(*self.pose.flags, *flags))
         return replace(self, pose=pose, status=Status.FLAGGED)
 
     def without_images(
         self, copies: Mapping[str, str], repeated: Sequence[str], damaged: Mapping[str, str]
     ) -> Measurement:
         """The same, saying whose images are left out and why: a pose without them is no worse."""
-        said = [f"{copy} shows the pictures of {whose}" for copy, whose in copies.items()]
-        said += [f"{name} repeats its last picture" for name in repeated]
-        files = ", ".join(f"{file} of {name}" for name, file in damaged.items())
-        said += [f"damaged or cut off, and left out: {files}"] if files else []
         same = replace(self, copies=dict(copies), repeated=tuple(repeated))
-        return same.noted("; ".join(said))
+        return same.noted(
+            *(Doubt("pictures-of-another", camera=n, whose=whose) for n, whose in copies.items()),
+            *(Doubt("repeated-pictures", camera=name) for name in repeated),
+            *(Doubt("damaged-picture", camera=n, file=str(file)) for n, file in damaged.items()),
+        )
 
-    def noted(self, text: str) -> Measurement:
-        """The same with one more reason, which leaves its status as it is."""
-        return replace(self, reason="; ".join(filter(None, (self.reason, text))))
+    def noted(self, *doubts: str) -> Measurement:
+        """The same with more reasons, which leave its status as it is."""
+        return replace(self, reasons=(*self.reasons, *doubts))
 
     def with_tolerance(self, body: Body) -> Measurement:
         """The same, with the body's tolerance added to the pose's covariance: no image shows it."""
@@ -222,9 +228,7 @@ class Draft:
     # the observations it rests on; None if the frame set was skipped.
     seen: FrameSetObservations | None = None
 
-    def flagged(self, flag: str) -> Draft:
-        """The same with one more flag of its pose, if it has one."""
-        if self.measurement.pose is None:
-            return self
-        flags = (*self.tracker_flags, flag)
-        return replace(self, measurement=self.measurement.flagged(flag), tracker_flags=flags)
+    def flagged(self, *flags: str) -> Draft:
+        """The same with more flags of its pose, if it has one."""
+        measured = self.measurement.flagged(*flags)
+        return replace(self, measurement=measured, tracker_flags=(*self.tracker_flags, *flags))

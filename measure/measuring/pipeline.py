@@ -26,6 +26,7 @@ from measure.measuring.kept_rig import Keeper, KeptRig
 from measure.measuring.measurement import Draft, FrameSetObservations, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_surrounding_poses
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, FrameSet, Motion, Pose
+from measure.model.doubts import Doubt
 from measure.processes import usable_cores
 
 Stage = Literal["detector", "triangulator", "solver", "tracking"]
@@ -148,7 +149,7 @@ class Pipeline:
                 positions=(),
                 pose=None,
                 status=Status.SKIPPED,
-                reason="restarting",
+                reasons=(Doubt("restarting"),),
             )
             return Draft(skipped.without_images({}, (), frame_set.damaged), ())
         draft = self._measure_once(frame_set, expected, pool)
@@ -198,11 +199,9 @@ class Pipeline:
         self._woven.add(steps)
         self._smeared.add(steps)
         smeared, flags = self._smeared.doubt(() if pose is None else pose.cameras)
-        if smeared and not flags:
-            draft = replace(draft, measurement=draft.measurement.noted(smeared))
-        for flag in filter(None, (new.flag, shared, self._woven.flag, smeared if flags else "")):
-            draft = draft.flagged(flag)
-        return draft
+        if not flags:
+            draft = replace(draft, measurement=draft.measurement.noted(*smeared))
+        return draft.flagged(*new.flags, *shared, *self._woven.flags, *(smeared if flags else ()))
 
     def _searched(self, frame_set: FrameSet, draft: Draft, pool: Executor) -> Draft:
         """Search the images in which the tracker just lost the body, so that no pose is missed."""
@@ -247,7 +246,7 @@ class Pipeline:
             positions=positions,
             pose=conclusion.pose,
             status=_status(conclusion.pose),
-            reason=conclusion.reason,
+            reasons=(conclusion.reason,) if conclusion.reason else (),
             residuals_px=residuals_px if conclusion.pose is not None else {},
             searched=tuple(n for n in frame_set.images if len(expected.get(n, ())) < balls),
         )

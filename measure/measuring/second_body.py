@@ -22,7 +22,7 @@ from measure.measuring.pose_hypotheses import (
     intersect_rays,
     lie_on_body,
 )
-from measure.model import Body, Camera
+from measure.model import Body, Camera, Doubt
 
 _RANGE_RATIO = 1.15
 """Largest error, as a factor, of the distance that the outline of a real ball implies."""
@@ -34,13 +34,6 @@ _RANGE_FACTORS = 1 + np.linspace(
 _OCCLUDED_SLACK_MM = 5.0
 """A partly hidden ball's outline includes an edge of its occluder, which displaces its centre."""
 _MAX_POINTS_PER_BALL = 12
-
-
-class SecondBodyFlag(str):
-    """A flag that knows where (3,) the other body may be, mm."""
-
-    __slots__ = ("place",)
-    place: Floats
 
 
 def second_body_flags(
@@ -61,7 +54,9 @@ def second_body_flags(
     distances = np.linalg.norm(body.centers[:, None] - body.centers[None], axis=2)
     for balls, where in _evidence(candidates, located, distances, sigmas):
         if where is not None:
-            return (_flag([body.names[k] for k in balls], where),)
+            x, y, z = where
+            names = [body.names[k] for k in balls]
+            return (Doubt("second-body", x_mm=x, y_mm=y, z_mm=z, balls=names),)
     return ()
 
 
@@ -216,13 +211,3 @@ def _possible_places(candidates: Candidates) -> Floats:
 
 def _size_agrees(distance: Floats, range_mm: Floats) -> Bools:
     return np.asarray((distance < range_mm * _RANGE_RATIO) & (distance > range_mm / _RANGE_RATIO))
-
-
-def _flag(names: Sequence[str], where: Floats) -> SecondBodyFlag:
-    x, y, z = where
-    flag = SecondBodyFlag(
-        f"there may be a second body near ({x:.0f}, {y:.0f}, {z:.0f}) mm, with balls like "
-        f"{', '.join(names[:-1])} and {names[-1]}: take it out of view"
-    )
-    flag.place = where
-    return flag

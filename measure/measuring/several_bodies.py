@@ -25,8 +25,7 @@ from measure.estimation.pose_fit import PoseObservations
 from measure.geometry import RigidTransform, propagate, skew
 from measure.measuring.measurement import Measurement, Status
 from measure.measuring.pipeline import Pipeline
-from measure.measuring.second_body import SecondBodyFlag
-from measure.model import Body, Camera, Detection, FrameSet, Pose
+from measure.model import Body, Camera, Detection, Doubt, FrameSet, Pose
 
 
 class TogetherStep(NamedTuple):
@@ -144,14 +143,14 @@ def relative_measurement(
     """
     (body, one), (base, other) = measured, reference
     bare = replace(one, views=(), positions=(), residuals_px={}, searched=())
-    reason = "; ".join(
-        f"{of.name} {each.status.value}" + (f": {each.reason}" if each.reason else "")
+    reasons = tuple(
+        Doubt.of(text).of_body(of.name)
         for of, each in (measured, reference)
-        if each.pose is None or each.reason
+        for text in (*([] if each.pose else [Doubt("no-pose", status=each.status)]), *each.reasons)
     )
     if one.pose is None or other.pose is None:
         status = Status.SKIPPED if Status.SKIPPED in (one.status, other.status) else Status.LOST
-        return replace(bare, pose=None, status=status, reason=reason)
+        return replace(bare, pose=None, status=status, reasons=reasons)
     here, there = one.pose.world_from_body, other.pose.world_from_body
     by_poses = _by_poses(here, there)
     covariance = propagate(by_poses, _joint_covariance(one.pose, other.pose, cameras))
@@ -163,7 +162,7 @@ def relative_measurement(
         )
         covariance = propagate(together @ np.linalg.inv(alone), covariance)
     flags = tuple(
-        f"{of.name}: {flag}"
+        Doubt.of(flag).of_body(of.name)
         for of, pose in ((body, one.pose), (base, other.pose))
         for flag in pose.flags
     )
@@ -177,7 +176,7 @@ def relative_measurement(
         balls=one.pose.balls,
         flags=flags,
     )
-    return replace(bare, pose=pose, status=Status.FLAGGED if flags else Status.OK, reason=reason)
+    return replace(bare, pose=pose, status=Status.FLAGGED if flags else Status.OK, reasons=reasons)
 
 
 def relative_measurements(
@@ -266,8 +265,8 @@ def _reconciled(
     for i, j in combinations(range(len(row)), 2):
         one, other = row[i].pose, row[j].pose
         if one is not None and other is not None and _overlap(bodies[i], one, bodies[j], other):
-            out[i] = out[i].flagged(f"a ball of it lies in one of body '{bodies[j].name}'")
-            out[j] = out[j].flagged(f"a ball of it lies in one of body '{bodies[i].name}'")
+            out[i] = out[i].flagged(Doubt("overlap", other=bodies[j].name))
+            out[j] = out[j].flagged(Doubt("overlap", other=bodies[i].name))
     return tuple(out)
 
 
@@ -276,7 +275,8 @@ def _known(
 ) -> Measurement:
     """The measurement without flags of a second body that is one of the others."""
     pose = measured.pose
-    raised = [f for f in (() if pose is None else pose.flags) if isinstance(f, SecondBodyFlag)]
+    flags = () if pose is None else pose.flags
+    raised = [one for one in map(Doubt.of, flags) if one.code == "second-body"]
     if pose is None or not raised:
         return measured
     for body, its in others:
@@ -284,7 +284,9 @@ def _known(
             balls = its.world_from_body.apply(body.centers)
             middle = balls.mean(axis=0)
             reach = _NEAR_MM + np.max(np.linalg.norm(balls - middle, axis=1))
-            explained |= {f for f in raised if np.linalg.norm(f.place - middle) < reach}
+            for flag in raised:
+                place = [flag.values[name] for name in ("x_mm", "y_mm", "z_mm")]
+                explained |= {flag} if np.linalg.norm(place - middle) < reach else set()
     flags = tuple(flag for flag in pose.flags if flag not in explained)
     status = Status.FLAGGED if flags else Status.OK
     return replace(measured, pose=replace(pose, flags=flags), status=status)

@@ -3,6 +3,7 @@
 from measure.model.body import Ball, BallColor, Body, ColorRange, ConvertedImage, paper_body
 from measure.model.camera import Camera, Intrinsics, Rig
 from measure.model.camera_rows import Projection, RigRows
+from measure.model.doubts import Doubt
 from measure.model.observations import (
     BallPosition,
     BallView,
@@ -26,7 +27,7 @@ from measure.model.rig_fit import (
 
 __all__ = [
     "Ball", "BallColor", "BallPosition", "BallView", "BoardObservation", "Body", "Camera",
-    "CameraFit", "ColorRange", "ConvertedImage", "Detection", "Expectation", "FrameSet", "Image",
-    "Intrinsics", "MarkerObservation", "Motion", "Pose", "Projection", "Reason", "Rig", "RigFit",
-    "RigObservations", "RigRows", "State", "Tolerances", "paper_body",
+    "CameraFit", "ColorRange", "ConvertedImage", "Detection", "Doubt", "Expectation", "FrameSet",
+    "Image", "Intrinsics", "MarkerObservation", "Motion", "Pose", "Projection", "Reason", "Rig",
+    "RigFit", "RigObservations", "RigRows", "State", "Tolerances", "paper_body",
 ]  # fmt: skip

@@ -204,7 +204,7 @@ class Pose:
     rms_px: float  # RMS reprojection error, of a moving body at the time of each image
     cameras: tuple[str, ...]  # names of the cameras used
     balls: tuple[str, ...]  # names of the balls used
-    flags: tuple[str, ...] = ()  # reasons to doubt it, empty if none
+    flags: tuple[str, ...] = ()  # reasons to doubt it, each a `Doubt` or a sentence of its own
     # by name, derivatives (6, 18) of the pose by a camera's pose and intrinsics (see
     # `Camera.covariance`); `covariance` holds the share of it; None if not known.
     by_camera: Mapping[str, Floats] | None = None

@@ -17,15 +17,14 @@ from measure.checking.causes import ALL, Cause, Word, beside, with_weak
 from measure.checking.diagnosis import diagnose
 from measure.checking.evidence import Evidence, Sighting
 from measure.checking.finding import Finding, Level
-from measure.checking.pictures import gaps_alone, repeated_causes, same_pictures_cause, told_causes
+from measure.checking.pictures import gaps_alone, repeated_causes, same_pictures_cause, seen_causes
 from measure.checking.sightings import MOST_INSTANTS
 from measure.geometry import RigidTransform
 from measure.limits import MAX_PAUSE_S
 from measure.measuring.body_size import outline_growth
-from measure.measuring.image_faults import left_out
-from measure.model import Body, Camera, Detection
+from measure.model import Body, Camera, Detection, Doubt
 from measure.model.observations import Reason, State
-from measure.results.tables import PLACE, integers, matrices, numbers
+from measure.results.tables import PLACE, doubts_of, integers, matrices, numbers
 
 MIN_FRAME_SETS = 5  # Of fewer frame sets the scatter is not known well enough
 
@@ -119,9 +118,9 @@ def rig_findings(
     diagnosis = diagnose(evidence)
     said = () if diagnosis.doubtful else diagnosis.causes
     causes = [_told(cause, evidence) for cause in said if evidence]
-    reasons = filter(None, pc.unique(poses["reason"]).to_pylist())
-    shared, repeated = _duplicates(poses)
-    pictures = [*shared, *told_causes(list(reasons), len(cameras))]
+    doubts = doubts_of(poses)
+    shared, repeated = _duplicates(doubts, poses)
+    pictures = [*shared, *seen_causes([one for row in doubts for one in row], len(cameras))]
     if not causes and not pictures:
         causes = _contradicting(body, distances)
     if not causes:
@@ -132,19 +131,23 @@ def rig_findings(
     return (*(cause.finding for cause in every if cause.of not in known), *twin_findings(body))
 
 
-def _duplicates(poses: pa.Table) -> tuple[list[Cause], list[Cause]]:
+def _duplicates(
+    doubts: Sequence[Sequence[Doubt]], poses: pa.Table
+) -> tuple[list[Cause], list[Cause]]:
     """Cameras that show another one's pictures, and those that repeat their own."""
-    places: dict[tuple[str, str], list[int]] = {}
-    for place, reason in enumerate(poses["reason"].to_pylist()):
-        for key in left_out((reason or "").split("; ")):
-            places.setdefault(key, []).append(place)
+    places: dict[Doubt, list[int]] = {}
+    for place, row in enumerate(doubts):
+        for one in row:
+            places.setdefault(one, []).append(place)
     index, times_s = integers(poses, "index"), numbers(poses, "time_s")
     shared, repeated = [], []
-    for (name, whose), own in places.items():
-        if whose:
-            shared.append(same_pictures_cause(whose, name, f"in {len(own)} of {len(index)}"))
-        else:
-            repeated += repeated_causes(name, np.array(own), len(index) - 1, times_s, index)
+    for one, own in places.items():
+        names, many = one.values, f"in {len(own)} of {len(index)}"
+        if one.code == "pictures-of-another":
+            shared.append(same_pictures_cause(names["whose"], names["camera"], many))
+        elif one.code == "repeated-pictures":
+            camera = names["camera"]
+            repeated += repeated_causes(camera, np.array(own), len(index) - 1, times_s, index)
     return shared, repeated
 
 

@@ -22,6 +22,7 @@ MEND = "fetch it from where the run was made, or measure anew with --overwrite"
 _SEAL, _FRAME_SETS = b"crc32", b"frame_sets"
 """What each batch of a stream bears: the CRC-32 of its data, as the schema says too; and how many
 frame sets are complete with it. After a power cut a file may end in zeros, which read as rows."""
+_SINCE = ("doubts",)  # Columns that runs of version 0.2.0 lack
 
 
 @contextmanager
@@ -186,8 +187,8 @@ def _whole_table(path: Path, schema: pa.Schema) -> pa.Table:
 
 
 def _refuse_missing(wanted: pa.Schema, there: pa.Schema) -> None:
-    """Columns that are not there would be read as empty ones."""
-    if missing := [name for name in wanted.names if name not in there.names]:
+    """Columns that are not there would be read as empty ones; some are, of an earlier version."""
+    if missing := [name for name in wanted.names if name not in (*there.names, *_SINCE)]:
         raise pa.ArrowKeyError(f"no column {', '.join(missing)}")
     if twice := [name for name in wanted.names if there.names.count(name) > 1]:
         raise pa.ArrowKeyError(f"column {twice[0]} is there twice")
@@ -215,6 +216,8 @@ def _whole_batches(path: Path, schema: pa.Schema) -> tuple[pa.Table, int | None]
         pass  # what was read before a torn end counts
     table = pa.Table.from_batches(batches, batches[0].schema if batches else schema)
     _refuse_missing(schema, table.schema)
+    for name in set(schema.names) - set(table.column_names):
+        table = table.append_column(name, pa.nulls(len(table), schema.field(name).type))
     return table.select(schema.names).cast(schema), frame_sets
 
 

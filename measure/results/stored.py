@@ -19,7 +19,7 @@ from measure.results.tables import BODY, PLACE, numbers, schemas
 from measure.session.calibration_file import UNIT_TOLERANCE
 
 _Known = tuple[str, Sequence[str]]  # Words, and what they are: `in body.toml`
-_ANY: _Known = ("a text", ())
+_TEXTS: dict[str, _Known] = {"flags": ("a text", ()), "doubts": ("a text", ())}
 
 
 def read_tables(
@@ -89,7 +89,7 @@ def _words(body: Body, cameras: Sequence[Camera]) -> dict[str, dict[str, _Known]
     camera = ("in calibration.toml", [camera.name for camera in cameras])
     status, state, reason = (("known", list(kind)) for kind in (Status, State, Reason))
     return {
-        "poses": {"cameras": camera, "balls": ball, "status": status, "flags": _ANY},
+        "poses": {"cameras": camera, "balls": ball, "status": status, **_TEXTS},
         "balls": {"ball": ball, "cameras": camera, "dropped": camera},
         "detections": {"ball": ball, "camera": camera, "state": state, "reason": reason},
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -13,8 +13,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from measure.checking.finding import Finding, Level
-from measure.model import Reason
-from measure.results.reasons import counted
+from measure.model import Doubt, Reason
+from measure.model.doubts import counted
+from measure.results.tables import doubts_of
 
 WHICH_ACCURACY = {
     "forecast": (
@@ -55,7 +56,7 @@ class Summary:
     suspended: dict[str, int]  # how often each reason suspended a view
     # how often each kind of reason, with its numbers' range and all names, kept a frame set from
     # being "ok"; and how often a camera of a live run was away.
-    reasons: dict[str, int]
+    reasons: dict[Doubt, int]
     # what the session left to be known: missing pictures and the like; cameras that took part in no
     # pose; and what is wrong with stamps, pictures and rig.
     notes: tuple[Finding, ...] = field(default=(), compare=False)
@@ -98,6 +99,7 @@ class Summary:
             for key, value in vars(self).items()
         }
         del values["bodies"]
+        values["doubts"] = [one.plain | {"frame_sets": n} for one, n in self.reasons.items()]
         values["notes"] = [str(note) for note in self.notes]
         values["findings"] = [asdict(finding) for finding in self.findings]
         if self.bodies:
@@ -114,8 +116,6 @@ def summarise(
 ) -> Summary:
     """Count and average the tables of a run; notes are the session's, and findings on the rig."""
     statuses = Counter(poses["status"].to_pylist())
-    given = [text.split("; ") for text in poses["reason"].to_pylist() if text]
-    names = [name for of in ("ball", "camera") for name in pc.unique(detections[of]).to_pylist()]
     seen = detections.group_by(["ball", "camera", "state"], use_threads=False)
     used = [
         row
@@ -140,7 +140,7 @@ def summarise(
         scale_sd_mm=scale_sd * _median_distance(unflagged) if scale_sd else 0.0,
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
-        reasons=counted(given, names),
+        reasons=counted(doubts_of(poses)),
         notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *findings),
         findings=(*(note for note in notes if note.level is not Level.NOTE), *findings),
     )
@@ -154,8 +154,8 @@ def together(bodies: Mapping[str, Summary], poses: pa.Table) -> Summary:
         worst[index] = max(status, worst.get(index, "ok"), key=ranks.__getitem__)
     counts = Counter(worst.values())
 
-    def named(what: str) -> dict[str, Any]:
-        return {f"{n}: {key}": v for n, s in bodies.items() for key, v in getattr(s, what).items()}
+    def named(what: str, name: Callable[[str, Any], Any] = "{}: {}".format) -> dict[Any, Any]:
+        return {name(n, key): v for n, s in bodies.items() for key, v in getattr(s, what).items()}
 
     return Summary(
         frame_sets=len(worst),
@@ -170,7 +170,7 @@ def together(bodies: Mapping[str, Summary], poses: pa.Table) -> Summary:
         scale_sd_mm=float(np.max([one.scale_sd_mm for one in bodies.values()])),
         effective=named("effective"),
         suspended=named("suspended"),
-        reasons=named("reasons"),
+        reasons=named("reasons", lambda body, doubt: doubt.of_body(body)),
         notes=tuple(
             dict.fromkeys(
                 note

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import StringIO
 from typing import Any, TypeAlias
 
@@ -18,7 +19,7 @@ from measure.host.interfaces import QUALITY as QUALITY
 from measure.host.interfaces import pose_columns
 from measure.limits import AT_ONCE
 from measure.measuring import Measurement, relative_measurements
-from measure.model import BallView, Body, Camera
+from measure.model import BallView, Body, Camera, Doubt
 
 _F, _I, _S = pa.float64(), pa.int32(), pa.string()
 _FRAME = pa.int64()  # Pictures may be numbered by the microseconds since 1970
@@ -63,6 +64,7 @@ SCHEMAS = {
             ("flags", _WORDS),
             ("status", _S),
             ("reason", _S),
+            ("doubts", _WORDS),
         ]
     ),
 }
@@ -72,7 +74,7 @@ BODY = "body"  # The additional column of a run of several bodies, in every tabl
 
 CSV_COLUMNS = (
     *("frame", "time_s", *PLACE, "position_sd_mm", "rotation_sd_deg", "rms_px"),
-    *("cameras", "status", "reason"),
+    *("cameras", "status", "reason", "codes"),
 )
 RELATIVE_COLUMNS = (CSV_COLUMNS[0], BODY, "reference", *CSV_COLUMNS[1:])
 """Of `relative.csv`: the pose is reference_from_body."""
@@ -139,7 +141,8 @@ def _rows_of(measured: Measurement) -> Rows:
 
 def csv_line(row: Mapping[str, Any], columns: Sequence[str] = CSV_COLUMNS) -> bytes:
     """A row of the table of poses as a line of `poses.csv`; empty cells where there is no pose."""
-    cells = [_cell(name, row["index" if name == "frame" else name]) for name in columns]
+    row = {**row, "frame": row["index"], "codes": codes(map(Doubt.read, row["doubts"] or ()))}
+    cells = [_cell(name, row[name]) for name in columns]
     line = StringIO()
     csv.writer(line, lineterminator="\n").writerow(cells)
     return line.getvalue().encode()
@@ -204,9 +207,27 @@ def _pose_row(measured: Measurement) -> dict[str, Any]:
         "balls": (),
         "flags": (),
         "status": measured.status.value,
-        "reason": measured.doubts,
+        "reason": measured.reason,
+        "doubts": [json.dumps(one.plain, ensure_ascii=False) for one in measured.doubts],
         **pose_columns(measured.pose),
     }
+
+
+def doubts_of(poses: pa.Table) -> list[tuple[Doubt, ...]]:
+    """Why each row of a table of poses (n,) is not `ok`, and notes.
+
+    Of a run that an earlier version wrote the reasons as they stand.
+    """
+    given = zip(poses["doubts"].to_pylist(), poses["reason"].to_pylist(), strict=True)
+    return [
+        tuple(map(Doubt.of, filter(None, [reason]))) if own is None else tuple(map(Doubt.read, own))
+        for own, reason in given
+    ]
+
+
+def codes(doubts: Iterable[Doubt]) -> list[str]:
+    """Each code once."""
+    return list(dict.fromkeys(one.code for one in doubts))
 
 
 Texts: TypeAlias = NDArray[np.str_]

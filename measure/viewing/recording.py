@@ -355,7 +355,7 @@ class RunRecording:
         self._sent_at = time.monotonic()
 
     def _log_status(self, measured: Measurement, entity: str) -> None:
-        text = ": ".join(filter(None, (measured.status.value, measured.doubts)))
+        text = ": ".join(filter(None, (measured.status.value, measured.reason)))
         if text != self._status.get(entity):
             self._set_time(measured)
             self._stream.log(entity, rr.TextLog(text, level=_LEVELS[measured.status]))

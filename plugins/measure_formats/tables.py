@@ -19,7 +19,16 @@ from measure.arrays import Floats
 from measure.errors import RunError
 from measure.results.pose_table import Velocities
 from measure.results.run import Run
-from measure.results.tables import PLACE, QUALITY, integers, matrices, numbers, texts
+from measure.results.tables import (
+    PLACE,
+    QUALITY,
+    codes,
+    doubts_of,
+    integers,
+    matrices,
+    numbers,
+    texts,
+)
 
 _WORDS = ("cameras", "balls", "flags")
 _UPPER = np.triu_indices(6)
@@ -41,7 +50,8 @@ def write_csv(
         pairs += VELOCITY
         pairs += [f"cov_{VELOCITY[i]}_{VELOCITY[j]}" for i, j in zip(*_UPPER, strict=True)]
     named = ["body"] if len(runs) > 1 else []
-    names = ["frame", *named, "time_s", *PLACE, *QUALITY, *_WORDS, "status", "reason", *pairs]
+    words = (*_WORDS, "status", "reason", "codes")
+    names = ["frame", *named, "time_s", *PLACE, *QUALITY, *words, *pairs]
     with path.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(names)
@@ -61,6 +71,7 @@ def _rows(run: Run, named: list[str], moving: Velocities | None) -> Iterator[lis
         spread = moving.covariances[:, _UPPER[0], _UPPER[1]]
         covariances = np.concatenate([covariances, moving.values, spread], axis=1)
     words = {name: table[name].to_pylist() for name in (*_WORDS, "status", "reason")}
+    doubts = doubts_of(table)
     for row, index in enumerate(table["index"].to_pylist()):
         yield [
             index,
@@ -70,6 +81,7 @@ def _rows(run: Run, named: list[str], moving: Velocities | None) -> Iterator[lis
             *(" ".join(words[name][row] or ()) for name in _WORDS),
             words["status"][row],
             words["reason"][row],
+            " ".join(codes(doubts[row])),
             *map(_cell, covariances[row]),
         ]
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -24,11 +23,12 @@ from measure.estimation.expected_accuracy import body_pose_sd, noise_sd, toleran
 from measure.geometry import RigidTransform
 from measure.limits import MOST_LISTED, SINCE_1970_S, SPREAD_OVER
 from measure.metrology.noise import Noise
+from measure.model.doubts import counted
 from measure.results import Run, Summary
 from measure.results.pose_table import noise_about, noise_at_rest, poses_of
 from measure.results.rig_changes import moved_by
 from measure.results.summary import WHICH_ACCURACY
-from measure.results.tables import texts
+from measure.results.tables import doubts_of
 from measure.session import dump_toml
 from measure.viewing.report import figures
 from measure.viewing.report.page import Page
@@ -357,16 +357,16 @@ def _add_residuals(page: Page, run: Run, seen: Mapping[str, Any]) -> None:
         names, label = [camera.name for camera in run.cameras], "residual [px]"
         drawn = figures.histograms(np.column_stack(columns), names, label, "balls")
         page.figures("How large residuals are", "", drawn)
-    flagged = run.has_pose & ~run.unflagged
-    why = texts(run.poses, "reason")[flagged]
-    if len(why):
-        begun = since_start(run)[flagged]
-        counted = Counter(why.tolist()).most_common(MOST_LISTED)
+    doubts, begun = doubts_of(run.poses), since_start(run)
+    flagged = np.flatnonzero(run.has_pose & ~run.unflagged).tolist()
+    if flagged:
+        first = {one.kind: float(begun[k]) for k in reversed(flagged) for one in doubts[k]}
+        kinds = list(counted(doubts[k] for k in flagged).items())[:MOST_LISTED]
         page.table(
             "Flagged frame sets",
             "Why poses are doubtful, the commonest reasons first.",
             ("reason", "frame sets", "first at s"),
-            [(reason, n, float(begun[np.argmax(why == reason)])) for reason, n in counted],
+            [(one, n, first[one.kind]) for one, n in kinds],
         )
 
 

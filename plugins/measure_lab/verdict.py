@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 
 from measure.arrays import Bools, Floats
 from measure.geometry.covariance import chi_square_quantile
+from measure.model.doubts import counted
 from measure.results import Run
 from measure.results.statistics import consistency
+from measure.results.tables import doubts_of
 
 SUB_MM = 1.0  # A position known worse than this (95 %, mm) makes the verdict doubtful
 _MIN_UNFLAGGED_SHARE = 0.5
@@ -66,12 +66,10 @@ def _what_is_missing(run: Run) -> list[str]:
 
 def _because(run: Run, which: Bools) -> str:
     """The most frequent reason of some frame sets, in brackets."""
-    texts = np.array(run.poses["reason"].to_pylist(), dtype=object)[which]
-    reasons = Counter(text for text in texts if text).most_common(1)
-    if not reasons:
-        return ""
-    text, count = reasons[0]
-    return f" ({text})" if count == len(texts) else f" (most often: {text})"
+    rows = [row for row, chosen in zip(doubts_of(run.poses), which, strict=True) if chosen]
+    for text, count in counted(rows).items():
+        return f" ({text})" if count == len(rows) else f" (most often: {text})"
+    return ""
 
 
 def _against_truth(run: Run, errors: Floats | None) -> tuple[str, str]:

@@ -16,7 +16,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import Rays, usable_pairs
-from measure.model import Ball, BallPosition, Body, Camera, Detection, Pose, Rig
+from measure.model import Ball, BallPosition, Body, Camera, Detection, Doubt, Pose, Rig
 from measure_paper.midpoint import mean_midpoint
 
 _MIN_ANGLE_RAD = np.radians(5.0)
@@ -118,7 +118,7 @@ def residual_flags(
     """
     found = []
     if pose.residual_mm > flag_residual_mm:
-        found.append(f"the balls miss the body's shape by {pose.residual_mm:.2f} mm RMS")
+        found.append(Doubt("shape", off_mm=pose.residual_mm))
     squares: dict[str, list[float]] = {}
     for position in positions:
         for camera, residual in zip(position.cameras, position.residuals_mm.tolist(), strict=True):
@@ -128,10 +128,7 @@ def residual_flags(
     rays_mm = float(np.sqrt(np.mean([square for each in squares.values() for square in each])))
     if rays_mm > flag_rays_mm:
         worst = max(squares, key=lambda name: float(np.mean(squares[name])))
-        found.append(
-            f"the rays miss the balls by {rays_mm:.2f} mm RMS, most of all those of {worst}: "
-            "has a camera moved, or are the clocks apart?"
-        )
+        found.append(Doubt("rays", off_mm=rays_mm, camera=worst))
     return tuple(found)
 
 

@@ -16,7 +16,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, chart_jacobian
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import BallPosition, Camera, Detection, Motion, Pose
+from measure.model import BallPosition, Camera, Detection, Doubt, Motion, Pose
 from measure.model.body import MIN_BREADTH_RATIO
 
 
@@ -81,7 +81,7 @@ class SimplexSolver(PoseSolver):
                 name for name in cameras if any(name in position.cameras for position in positions)
             ),
             balls=tuple(position.ball for position in positions),
-            flags=() if converged else ("the simplex search did not converge",),
+            flags=() if converged else (Doubt("simplex"),),
         )
 
     def _reprojection_rms(

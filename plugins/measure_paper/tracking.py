@@ -22,6 +22,7 @@ from measure.model import (
     Body,
     Camera,
     Detection,
+    Doubt,
     Expectation,
     FrameSet,
     Motion,
@@ -223,7 +224,7 @@ class FrameUpdate(Tracker):
         problem = self._problem(views, positions, pose)
         if problem or pose is None:
             self._plan_restart()
-            return Conclusion(None, problem or "no pose from the located balls")
+            return Conclusion(None, problem or Doubt("no-solution"))
         self._pose = pose
         self._starting = False
         self._tolerance = 1 + (self._tolerance - 1) * self.config.tolerance_decay
@@ -236,17 +237,16 @@ class FrameUpdate(Tracker):
         self, views: Sequence[BallView], positions: Sequence[BallPosition], pose: Pose | None
     ) -> str:
         if pose is not None and pose.residual_mm > self.config.max_residual_mm:
-            return f"pose refused: the balls miss the body's shape by {pose.residual_mm:.1f} mm RMS"
+            return Doubt("refused", off_mm=pose.residual_mm)
         if pose is not None or len(positions) >= 3:
             return ""
         counts = {
             name: sum(view.ball == name and view.effective for view in views)
             for name in self.body.names
         }
-        short = [f"{name} {count}" for name, count in counts.items() if count < 2]
-        if short:
-            return f"too few effective circles ({', '.join(short)}; each ball needs 2)"
-        return f"only {len(positions)} balls could be located"
+        if short := [name for name, count in counts.items() if count < 2]:
+            return Doubt("few-circles", balls=short)
+        return Doubt("few-located", balls=len(positions))
 
     def _plan_restart(self) -> None:
         config = self.config

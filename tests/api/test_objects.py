@@ -78,6 +78,8 @@ def test_a_frame_set_without_a_pose_has_a_row_and_a_reason(run, pictures, rig_an
     assert np.isnan(lost.rotation[8:].as_rotvec()).all()
     assert np.isnan(lost.covariance[8:]).all()
     assert all(lost.reason[8:])
+    codes = lost.to_pandas()["codes"].tolist()
+    assert (codes[7], codes[8][0], codes[11][-1]) == ([], "against-prediction", "repeated-pictures")
 
 
 def test_pictures_that_do_not_fit_are_refused_in_the_words_of_python(run, pictures, rig_and_body):

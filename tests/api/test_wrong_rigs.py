@@ -154,7 +154,7 @@ def test_what_pictures_and_stamps_are_is_noted_by_a_run(
     wrong = [one.text for one in summary.findings if one.level is Level.WRONG]
     assert len([text for text in wrong if any(name in text for name in silent)]) == 1
     assert list(map(str, read_run(out).summary.notes)) == list(map(str, summary.notes))
-    flags = sum(n for reason, n in summary.reasons.items() if "woven" in reason)
+    flags = sum(n for doubt, n in summary.reasons.items() if doubt.code == "interlaced")
     assert (flags > summary.frame_sets / 2) == (fault is woven)
 
 

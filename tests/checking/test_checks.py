@@ -20,17 +20,17 @@ from measure.checking import (
 )
 from measure.checking.body import Compared
 from measure.checking.causes import Cause, Word
-from measure.checking.pictures import burst_causes, rate_causes, step_causes, without_step
+from measure.checking.pictures import (
+    burst_causes,
+    rate_causes,
+    seen_causes,
+    step_causes,
+    without_step,
+)
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.image_faults import (
-    BallSteps,
-    SmearedImages,
-    WovenImages,
-    smear_in,
-    woven_cameras,
-)
+from measure.measuring.image_faults import BallSteps, SmearedImages, WovenImages
 from measure.model import Detection, FrameSet, Image
 from tests.scenes import RAVEN, TARGET, moved, ring, see
 
@@ -335,7 +335,9 @@ def test_rows_of_two_instants_are_told_from_grain(show, is_woven: bool) -> None:
         image = Image("cam0", index, index / 30, lambda x=x_px: show(x, step_px))
         ball = Detection("red", "cam0", 0.0, np.array([x_px, 60.0]), 30.0, 0.01 * np.eye(2))
         images.add(steps.of(FrameSet(index, index / 30, {"cam0": image}), [ball], look=True))
-    assert images.cameras == woven_cameras(["", images.flag]) == ["cam0"] * is_woven
+    assert images.cameras == ["cam0"] * is_woven
+    found = [(c.cause, c.of) for c in seen_causes(images.flags, 3)]
+    assert found == [("interlaced", "cam0")] * is_woven
 
 
 OTHERS = {f"cam{k}": np.arange(60) / 30 + 0.004 * k for k in (0, 2, 3)}
@@ -423,7 +425,10 @@ def test_a_blur_along_one_direction_is_told_from_motion_and_focus(show, width_px
     smear = images.smear
     assert (smear is None) == (width_px is None), smear
     if smear is not None:
-        assert smear.width_px == pytest.approx(width_px, rel=0.2)
-        assert abs((smear.angle_deg - angle_deg + 90) % 180 - 90) < 5
-        assert smear_in(["", images.doubt({"cam0"})[0]]).cameras == ("cam0",)
-        assert images.doubt({"cam0", "cam1", "cam2"})[1] is False
+        assert smear.values["width_px"] == pytest.approx(width_px, rel=0.2)
+        assert abs((smear.values["angle_deg"] - angle_deg + 90) % 180 - 90) < 5
+        (cause,) = seen_causes(images.doubt({"cam0"})[0], 3)
+        assert (cause.cause, cause.of) == ("blurred", "cam0")
+        assert cause.estimate == smear.values["width_px"]
+        assert images.doubt({"cam0", "cam1", "cam2"}) == ([smear], False)
+        assert images.doubt({"cam1"}) == ([], False)

@@ -14,7 +14,9 @@ from types import ModuleType
 import pytest
 
 import measure
+from measure.checking.causes import Word
 from measure.host import Registry, SelfCalibratingDetector, describe_settings, hooks
+from measure.model.doubts import sentences
 from measure.neighbours import commands
 from measure.results.tables import CSV_COLUMNS, SCHEMAS
 from tests.docs.pages import ROOT
@@ -58,6 +60,15 @@ def test_the_settings_page_names_every_setting(generator: ModuleType):
     assert {p.name for p in own} == set(re.findall(r"^\| \*\*([\w-]+)\*\*", page, re.MULTILINE))
     settings = {s.name for p in own for s in describe_settings(p.plugin.Config)}
     assert sorted(name for name in settings if f"\n| `{name}` |" not in page) == []
+
+
+def test_the_page_of_findings_has_a_row_for_every_doubt(generator: ModuleType):
+    rows = re.findall(
+        r"^\| `([\w-]+)` \| \S.* \| \S.* \| \S.* \|$", generator.findings_page(), re.M
+    )
+    assert rows == list(sentences())
+    causes = (ROOT / "docs" / "explanation" / "what_can_go_wrong.md").read_text(encoding="utf-8")
+    assert sorted(word for word in Word if f"\n| `{word}` |" not in causes) == []
 
 
 def test_all_that_a_plugin_may_use_is_described(generator: ModuleType):

@@ -17,7 +17,7 @@ from measure.api.profiles import load_profile
 from measure.api.run import resolved
 from measure.geometry import RigidTransform
 from measure.host import Registry
-from measure.measuring import Status
+from measure.model import Doubt
 from measure.results import Provenance, RunWriter, read_run
 from measure.session import read_body
 from measure.viewing.report import figures
@@ -90,16 +90,18 @@ def test_a_run_without_any_pose_has_a_report_that_says_why(tmp_path):
 
 def test_flagged_poses_do_not_count_as_known(tmp_path):
     def doubted(index):
-        return replace(measurement(index), status=Status.FLAGGED, reason="red sits 9 px off")
+        doubt = Doubt("off-the-fit", ball="red", camera="cam0", off_px=8 + index % 2)
+        return measurement(index).flagged(doubt)
 
     run = _run(tmp_path / "all", 20, measure=doubted)
     tone, sentence = verdict(run, None)
     assert tone == "bad"
-    assert sentence == "No pose to rely on: all of 20 frame sets are flagged (red sits 9 px off)."
+    why = "(red in cam0 sits 8.0-9.0 px off the fit)"
+    assert sentence == f"No pose to rely on: all of 20 frame sets are flagged {why}."
     mixed = _run(tmp_path / "most", 20, measure=lambda i: doubted(i) if i > 7 else measurement(i))
     tone, sentence = verdict(mixed, None)
     assert tone == "bad"
-    assert "the pose is doubtful in 12 of 20 frame sets (red sits 9 px off)" in sentence
+    assert f"the pose is doubtful in 12 of 20 frame sets {why}" in sentence
 
 
 def test_report_quotes_truth_and_flags_overconfidence(tmp_path):
@@ -217,9 +219,7 @@ def _values(packed):
 
 def _flagged_once(index):
     made = measurement(index, lost=index == 4)
-    if index != 7:
-        return made
-    return replace(made, status=Status.FLAGGED, reason="red sits 9 px off")
+    return made.flagged("red sits 9 px off") if index == 7 else made
 
 
 def test_flagged_and_lost_poses_are_gaps_in_the_trajectory(tmp_path):

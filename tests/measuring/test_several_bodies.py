@@ -74,8 +74,9 @@ def test_an_error_that_moves_both_as_one_thing_cancels(together, share):
 def test_without_either_there_is_none_and_flags_say_whose():
     good, lost = measurement(HERE, np.eye(6)), measurement(None, status=Status.LOST)
     found = relative(good, lost)
-    assert (found.status, found.pose, found.reason) == (Status.LOST, None, "base lost")
-    assert relative(lost, good).reason == "raven lost"
+    assert (found.status, found.pose, found.reason) == (Status.LOST, None, "base: lost")
+    (doubt,) = relative(lost, good).doubts
+    assert doubt.plain == {"code": "no-pose", "status": "lost", "body": "raven"}
     doubtful = measurement(THERE, np.eye(6), flags=("jumped",), status=Status.FLAGGED)
     flagged = relative(good, doubtful)
     assert flagged.status is Status.FLAGGED

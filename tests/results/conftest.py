@@ -62,7 +62,7 @@ def measurement(
     pixel_error = np.zeros(2) if pixel_error is None else pixel_error
     frames = {camera.name: index for camera in CAMERAS}
     if lost:
-        return Measurement(index, time_s, frames, (), (), None, Status.LOST, "too few balls")
+        return Measurement(index, time_s, frames, (), (), None, Status.LOST, ("too few balls",))
     views = []
     for camera in CAMERAS:
         centers = camera.project(exact.apply(BODY.centers)) + pixel_error

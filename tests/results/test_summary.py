@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import pyarrow as pa
 
 from measure.checking import Finding, Level
+from measure.model import Doubt
 from measure.results.summary import summarise
 
 SEEN = pa.table(
@@ -12,39 +15,22 @@ SEEN = pa.table(
 )
 
 
-def test_reasons_of_one_kind_are_counted_together():
-    reasons = [
-        "poorly determined: 85 mm, 1.8e+02 deg (1 sd); one camera only (cam3): its distance rests",
-        "poorly determined: 1.6e+02 mm, 3 deg (1 sd)",
-        "",
-        "one camera only (cam1): its distance rests; ball red sits 2 px off",
-        "ball green is seen elsewhere by cam0, cam2",
-        "ball red is seen elsewhere by cam1",
+def test_doubts_of_one_kind_are_counted_together():
+    vague = [Doubt("poorly-determined", sd_mm=mm, sd_deg=deg) for mm, deg in ((85, 180), (160, 3))]
+    rows = [("too dark",), (vague[0], Doubt("two-balls")), (vague[1],), ()]
+    poses = _poses(*[("flagged", 1.0)] * len(rows))
+    doubts = [[json.dumps(Doubt.of(one).plain) for one in row] for row in rows]
+    poses = poses.set_column(poses.column_names.index("doubts"), "doubts", pa.array(doubts))
+    found = summarise(SEEN, poses)
+    assert list(found.reasons.items()) == [
+        ("poorly determined: 85-1.6e+02 mm, 3-1.8e+02 deg (1 sd)", 2),
+        ("too dark", 1),
+        ("fewer than three balls in sight", 1),
     ]
-    seen = pa.table(
-        {
-            "ball": ["red", "green", "red", "red"],
-            "camera": ["cam0", "cam1", "cam2", "cam3"],
-            "state": ["effective"] * 4,
-            "index": [0] * 4,
-            "reason": [""] * 4,
-        }
-    )
-    poses = pa.table(
-        {
-            "status": ["flagged", "flagged", "ok", *["flagged"] * 3],
-            "reason": reasons,
-            "position_sd_mm": [1.0] * 6,
-            "rotation_sd_deg": [1.0] * 6,
-            "rms_px": [1.0] * 6,
-        }
-    )
-    assert summarise(seen, poses).reasons == {
-        "poorly determined: 85-1.6e+02 mm, 3-1.8e+02 deg (1 sd)": 2,
-        "one camera only (cam1, cam3): its distance rests": 2,
-        "ball green, red is seen elsewhere by cam0, cam1, cam2": 2,
-        "ball red sits 2 px off": 1,
-    }
+    assert json.loads(json.dumps(found.values()["doubts"]))[:2] == [
+        {"code": "poorly-determined", "sd_mm": [85, 160], "sd_deg": [3, 180], "frame_sets": 2},
+        {"code": "other", "text": "too dark", "frame_sets": 1},
+    ]
 
 
 def _poses(*rows: tuple[str, float]) -> pa.Table:
@@ -52,7 +38,8 @@ def _poses(*rows: tuple[str, float]) -> pa.Table:
     statuses, sds = zip(*rows, strict=True)
     numbers = {"position_sd_mm": sds, "rotation_sd_deg": sds, "rms_px": sds}
     numbers |= dict.fromkeys(("x_mm", "y_mm"), [0.0] * len(rows)) | {"z_mm": [250.0] * len(rows)}
-    return pa.table({"status": statuses, "reason": [""] * len(rows), **numbers})
+    words = {"status": statuses, "reason": [""] * len(rows), "doubts": [[]] * len(rows)}
+    return pa.table({**words, **numbers})
 
 
 def test_poses_to_doubt_make_no_position_known():

@@ -13,8 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from measure.errors import RunError
+from measure.model import Doubt
 from measure.results import RunWriter, journal, read_run
-from measure.results.tables import SCHEMAS
+from measure.results.tables import SCHEMAS, doubts_of
 from tests.results.conftest import (
     BODY,
     CAMERAS,
@@ -93,6 +94,7 @@ def test_resume_says_what_would_change_the_numbers(folder: Path) -> None:
         ("poses", "status", "oj", r"status 'oj' is not known \(ok, flagged, lost, skipped\)"),
         ("poses", "balls", ["purple"], r"balls 'purple' is not in body.toml \(green, yellow, red"),
         ("poses", "flags", [None], "flags None is not a text"),
+        ("poses", "doubts", [None], "doubts None is not a text"),
         ("balls", "cameras", ["cam9"], r"cameras 'cam9' is not in calibration.toml \(cam0, cam1"),
         ("balls", "index", 3, "frame sets are out of order"),
         ("detections", "index", 10**6, "frame sets are out of order"),
@@ -241,16 +243,31 @@ def test_no_thread_may_hold_a_file_of_pythons_after_its_end(tmp_path, monkeypatc
     assert all(isinstance(file, pa.NativeFile) for file in held)
 
 
-def test_an_unfinished_run_of_an_earlier_version_can_be_read(tmp_path):
-    with open_writer(tmp_path / "run") as writer:
-        writer.append(measurement(0))
-    stream = tmp_path / "run/detections.arrows"
-    with stream.open("rb") as file:
-        table = pa.ipc.open_stream(file).read_all()
-    table = table.set_column(3, "frame", table["frame"].cast(pa.int32()))
-    with pa.ipc.new_stream(stream, table.schema) as out:
-        out.write_table(table)
-    assert read_run(tmp_path / "run").detections.schema == SCHEMAS["detections"]
+@pytest.mark.parametrize("ended", [True, False])
+def test_a_run_without_codes_shows_its_reasons_and_is_gone_on_with(folder, ended):
+    """As version 0.2.0 wrote it; before, frames were 32-bit numbers."""
+    with open_writer(folder) as writer:
+        writer.append(measurement(0).flagged("too dark", Doubt("two-balls")))
+        if ended:
+            writer.finish()
+    for name in ("poses", "detections"):
+        file = folder / (f"{name}.parquet" if ended else f"{name}.arrows")
+        table = pq.read_table(file) if ended else pa.ipc.open_stream(file.read_bytes()).read_all()
+        table = table.drop_columns([n for n in table.column_names if n == "doubts"])
+        schema = pa.schema(
+            [f.with_type(pa.int32()) if f.name == "frame" else f for f in table.schema]
+        )
+        with pq.ParquetWriter(file, schema) if ended else pa.ipc.new_stream(file, schema) as out:
+            out.write_table(table.cast(schema))
+    old = {"too dark; fewer than three balls in sight": 1}
+    assert read_run(folder).summary.reasons == old
+    assert read_run(folder).detections.schema == SCHEMAS["detections"]
+    with open_writer(folder, resume=True) as writer:
+        writer.append(measurement(1).flagged(Doubt("two-balls")))
+        assert writer.finish().reasons == old | {"fewer than three balls in sight": 1}
+    assert (folder / "poses.csv").read_text().endswith("three balls in sight,two-balls\n")
+    (_, (doubt,)) = doubts_of(read_run(folder).poses)
+    assert doubt.plain == {"code": "two-balls"}
 
 
 @pytest.mark.parametrize("stream", [True, False])

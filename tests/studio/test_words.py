@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import ast
-import re
 import threading
 from html import unescape
 from pathlib import Path
 
 import pytest
 
-from measure.api import Registry, board_length, write_measured_board
+from measure.api import Finding, Level, Registry, board_length, write_measured_board
 from measure.errors import ConfigError
+from measure.model import Doubt
 from measure_studio.api import CaptureRequest
 from measure_studio.page.bench import Bench, Job
+from measure_studio.page.layout import findings_shown
 from measure_studio.page.measure_page import pose_shown
-from measure_studio.page.words import grouped, plain
+from measure_studio.page.words import plain
 from tests.measurements import measurement
+from tests.model.test_doubts import examples
 
-ROOT = Path(__file__).parents[2]
 FOLDER = Path("/home/somebody/my rig")
 
 
@@ -46,12 +46,13 @@ def test_times_are_those_of_a_clock():
 
 
 def test_what_is_found_of_several_cameras_alike_stands_in_one_line():
-    texts = ["cam1: stamps 7.3 ms uneven", "cam2: stamps 6.9 ms uneven", "cam1: too dark", "a"]
-    names = ("cam1", "cam2")
-    told = ["cam1: stamps 7.3 ms uneven (alike in cam2)", "cam1: too dark", "a"]
-    assert grouped(texts, names) == told
-    assert grouped(["cam1: 3 px", "cam1: 4 px"], names) == ["cam1: 3 px", "cam1: 4 px"]
-    assert grouped(["ball 1", "ball 2"], ()) == ["ball 1", "ball 2"]
+    said = [(Level.WEAK, "too dark", "cam1"), (Level.WEAK, "late", ""), (Level.NOTE, "a", "cam1")]
+    said += [(Level.WEAK, "too dark", "cam2"), (Level.WRONG, "too dark", "cam3")]
+    shown = findings_shown(Finding(level, "clock", *rest) for level, *rest in said)
+    lines = ["wrong</b> cam3: too dark", "weak</b> cam1, cam2: too dark", "weak</b> late"]
+    places = [shown.index(f"{line}</li>") for line in (*lines, "note</b> cam1: a")]
+    assert places == sorted(places)
+    assert shown.count("<li") == len(places)
 
 
 def test_work_says_how_long_it_takes_yet():
@@ -162,49 +163,16 @@ def test_a_board_is_as_large_as_it_was_measured(tmp_path):
             write_measured_board(name, 1.5 * square_mm, measured)
 
 
-def doubts():
-    """Every sentence of modules that speak of flags or reasons, with a name where one is put in."""
-    for room in ("measure", "plugins"):
-        for file in sorted((ROOT / room).rglob("*.py")):
-            text = file.read_text("utf-8")
-            if not re.search(r"\b(flags?|flagged|reason)\b", text):
-                continue
-            tree = ast.parse(text)
-            apart = {
-                id(one.value)
-                for one in ast.walk(tree)
-                if isinstance(one, ast.Expr | ast.FormattedValue)
-            }
-            for node in ast.walk(tree):
-                if isinstance(node, ast.JoinedStr):
-                    apart |= {id(part) for part in node.values}
-                    text = "".join(
-                        getattr(part, "value", "") if isinstance(part, ast.Constant) else "cam0"
-                        for part in node.values
-                    )
-                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                    text = node.value
-                else:
-                    continue
-                if id(node) not in apart and len(text.split()) > 2:
-                    yield text
-
-
 def test_every_doubt_stands_below_the_state():
     """Alone, and beside others; a pose that is believed has none."""
-    every = list(dict.fromkeys(doubts()))
-    assert any("contradict the others" in text for text in every)
-    assert any("the fit did not settle" in text for text in every)
-    for text in every:
-        for beside in ([], every[:1]):
-            doubtful = measurement(1)
-            for flag in (*beside, text):
-                doubtful = doubtful.flagged(flag)
-            shown = unescape(pose_shown("tool", doubtful, ""))
+    for doubt in examples():
+        for beside in ([], ["too dark"]):
+            shown = unescape(pose_shown("tool", measurement(1).flagged(*beside, doubt), ""))
             assert 'data-state="DOUBTFUL"' in shown
-            for sentence in filter(None, text.split("; ")):
-                assert f"<li>{plain(sentence)}</li>" in shown
-                assert plain(sentence)
+            assert all(f"<li>{plain(sentence)}</li>" in shown for sentence in (*beside, doubt))
+    alike = [Doubt("camera-contradicts", camera=name) for name in ("cam1", "cam0")]
+    shown = pose_shown("tool", measurement(1).flagged(*alike), "")
+    assert "<li>camera cam0, cam1 contradicts the others on every ball" in shown
     lost = pose_shown("tool", measurement(1, lost=True), "")
     assert 'data-state="LOST"' in lost
     assert f"<li>{measurement(1, lost=True).reason}</li>" in lost

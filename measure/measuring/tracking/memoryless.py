@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from measure import model
 from measure.arrays import Floats
 from measure.host import Conclusion, Settings, Tracker
+from measure.model import Doubt
 from measure.model.observations import Reason, State
 
 
@@ -53,4 +54,4 @@ class Memoryless(Tracker):
         if pose is not None:
             return Conclusion(pose)
         effective = sum(view.effective for view in views)
-        return Conclusion(None, f"{len(positions)} balls located from {effective} views")
+        return Conclusion(None, Doubt("few-views", balls=len(positions), views=effective))

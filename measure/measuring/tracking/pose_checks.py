@@ -24,7 +24,7 @@ from measure.geometry import chi_square_quantile, propagate, squared_mahalanobis
 from measure.limits import TINY
 from measure.measuring.association import MIN_VIEWS
 from measure.measuring.tracking.settings import PredictiveConfig
-from measure.model import BallPosition, BallView, Body, Camera, Detection, Motion, Pose, Rig
+from measure.model import BallPosition, BallView, Body, Camera, Detection, Doubt, Motion, Pose, Rig
 from measure.model.observations import Reason, stacked_positions
 
 By = Literal["ball", "camera"]
@@ -194,12 +194,11 @@ class PoseChecks:
         if rms_px > c.max_rms_px and rms_px > math.hypot(
             c.max_rms_px, _RMS_SIGMAS * table.stated_rms_px
         ):
-            found += (f"reprojection errors of {rms_px:.1f} px",)
+            found += (Doubt("reprojection", rms_px=rms_px),)
         contradicting = table.contradicting_cameras
         used = {d.camera for d in table.effective} | set(contradicting)
         if contradicting and len(contradicting) >= _MAX_CONTRADICTING_SHARE * len(used):
-            names = ", ".join(contradicting)
-            found += (f"cameras {names} contradict the others: nobody can tell who errs",)
+            found += (Doubt("contradiction", cameras=contradicting),)
         return found
 
     def soft(
@@ -218,10 +217,7 @@ class PoseChecks:
         known = motion if self._hold == 0 else lambda: None
         return (
             *_uncertain(table, self._config.max_sd_mm),
-            *(
-                f"camera {name} contradicts the others on every ball: check its calibration"
-                for name in table.contradicting_cameras
-            ),
+            *(Doubt("camera-contradicts", camera=name) for name in table.contradicting_cameras),
             *self._disagreement(table),
             *self._unconfirmed(table),
             *(_unstable_initialisation(table) if len(set(new_at_s)) > 1 else ()),
@@ -235,9 +231,7 @@ class PoseChecks:
         agreeing = {d.camera for d in table.effective}
         self._disagreeing = tuple(name for name in self._disagreeing if name not in agreeing)
         for name in self._disagreeing:
-            yield (
-                f"camera {name} sees balls, but none where the others do: `measure check` tells why"
-            )
+            yield Doubt("camera-disagrees", camera=name)
 
     def _unconfirmed(self, table: ResidualTable) -> Iterator[str]:
         """Balls that no two cameras have seen at once since the body was found.
@@ -250,10 +244,7 @@ class PoseChecks:
         self._confirmed |= {ball for ball in seen if seen.count(ball) >= _ENOUGH}
         for ball in table.body.names:
             if ball not in self._confirmed:
-                yield (
-                    f"ball {ball} has not been seen where the body file puts it: hidden, or a "
-                    "wrong file?"
-                )
+                yield Doubt("unconfirmed-ball", ball=ball)
 
 
 def _balls_seen_elsewhere(table: ResidualTable) -> Iterator[str]:
@@ -268,10 +259,7 @@ def _balls_seen_elsewhere(table: ResidualTable) -> Iterator[str]:
         cameras = [camera for camera in table.cameras if camera.name in there]
         names = [camera.name for camera in cameras if _in_sight(camera, body, centers, index)]
         if len(names) >= min(_ENOUGH, max(effective.count(ball), 1)):
-            yield (
-                f"ball {ball} is seen elsewhere by {', '.join(names)}: "
-                "a wrong body file, another ball, or a camera that was moved?"
-            )
+            yield Doubt("ball-elsewhere", ball=ball, cameras=names)
 
 
 def _shared_offsets(
@@ -279,26 +267,22 @@ def _shared_offsets(
 ) -> Iterator[str]:
     """Balls and cameras whose residuals share an offset that their uncertainty does not explain."""
     for ball, off in table.shared_offsets("ball", confidence, motion):
-        yield (
-            f"ball {ball} is {math.hypot(*off):.1f} mm from where the body puts it: "
-            "a wrong body file, or a camera that was moved?"
-        )
+        yield Doubt("ball-aside", ball=ball, off_mm=math.hypot(*off))
     for camera, off in table.shared_offsets("camera", confidence, motion):
-        text = f"camera {camera} sees all balls {math.hypot(*off):.1f} px aside"
-        yield f"{text}: was it moved, or is its clock off?"
+        yield Doubt("camera-aside", camera=camera, off_px=math.hypot(*off))
 
 
 def _uncertain(table: ResidualTable, max_sd_mm: float) -> Iterator[str]:
     """What little a pose rests on."""
     used = sorted({d.camera for d in table.effective})
     if len(used) == 1:
-        yield f"one camera only ({used[0]}): its distance rests on outline sizes"
+        yield Doubt("one-camera", camera=used[0])
     if len({d.ball for d in table.effective}) < 3:
-        yield "fewer than three balls in sight"
+        yield Doubt("two-balls")
     if not table.pose.position_sd_mm <= max_sd_mm:
-        yield f"position known to {table.pose.position_sd_mm:.1f} mm only"
+        yield Doubt("uncertain", sd_mm=table.pose.position_sd_mm)
     if len(table.effective) < MIN_VIEWS:
-        yield f"only {len(table.effective)} sightings of balls: little would show a mistake"
+        yield Doubt("few-sightings", sightings=len(table.effective))
 
 
 def _unstable_initialisation(table: ResidualTable) -> Iterator[str]:
@@ -309,7 +293,7 @@ def _unstable_initialisation(table: ResidualTable) -> Iterator[str]:
     """
     elsewhere = sum(map(len, table.elsewhere("ball", ELSEWHERE).values()))
     if elsewhere >= _ENOUGH:
-        yield f"just found, and {elsewhere} sightings lie elsewhere: it may move too fast to tell"
+        yield Doubt("just-found", sightings=elsewhere)
 
 
 def single_view_balls(table: ResidualTable) -> Iterator[str]:
@@ -329,10 +313,7 @@ def single_view_balls(table: ResidualTable) -> Iterator[str]:
             and _in_sight(camera, table.body, centers, table.body.index(ball))
         ]
         if len(blind) >= _ENOUGH:
-            yield (
-                f"ball {ball} is seen by one camera only, and not by {', '.join(blind)}: hidden, "
-                "or not where the body file puts it?"
-            )
+            yield Doubt("hidden-ball", ball=ball, cameras=blind)
 
 
 def _in_sight(camera: Camera, body: Body, centers: Floats, ball: int) -> bool:

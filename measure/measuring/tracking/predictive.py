@@ -34,7 +34,7 @@ from measure.measuring.tracking.search_windows import (
     predict_windows,
 )
 from measure.measuring.tracking.settings import PredictiveConfig
-from measure.model import Rig
+from measure.model import Doubt, Rig
 from measure.model.observations import Reason, State
 
 _MOTION_CONFIDENCE = 0.9999
@@ -116,8 +116,7 @@ def _implausible_motion(
     if step @ np.linalg.solve(noise, step) < chi_square_quantile(_MOTION_CONFIDENCE, 6):
         return ()
     moved = np.linalg.norm(found.world_from_body.translation - lost.world_from_body.translation)
-    text = f"found {moved:.0f} mm from where it was {found.time_s - lost.time_s:.2f} s before"
-    return (f"{text}, further than it can have moved: this may be another body",)
+    return (Doubt("too-far", moved_mm=float(moved), since_s=found.time_s - lost.time_s),)
 
 
 _EXTRA_SD = np.repeat([0.02, 0.0005], 3)
@@ -233,7 +232,7 @@ class PredictiveTracker(Tracker):
         if pose is None:
             reason = self._found.reason if self._found is not None else ""
             self._missed()
-            return Conclusion(None, reason or "too few balls agree with the prediction")
+            return Conclusion(None, reason or Doubt("against-prediction"))
         bias_px = self.config.view_bias_px
         table = ResidualTable(pose, views, residuals_px, self.body, self.cameras, bias_px)
         hard = self._checks.hard(table, positions)
@@ -258,7 +257,7 @@ class PredictiveTracker(Tracker):
         present = [camera for camera in self.cameras if camera.name in frame_set.images]
         self._found = found = associate(self.body, present, detections)
         self._recovering = {}
-        self._note = "" if found.reflection is None else str(found.reflection)
+        self._note = "" if found.reflection is None else found.reflection.note
         if found.world_from_body is not None:
             assert found.covariance is not None
             time_s = float(np.mean([d.time_s for d in found.detections]))

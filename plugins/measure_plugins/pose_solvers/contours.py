@@ -24,6 +24,7 @@ from measure.estimation.multiview import calibration_noise
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import BallPosition, Body, Camera, Detection, Intrinsics, Motion, Pose, Rig
+from measure.model.doubts import Doubt
 from measure.model.observations import stacked_detections, stacked_positions
 
 if TYPE_CHECKING:
@@ -303,7 +304,7 @@ class ContoursSolver(PoseSolver):
                 return
         for k in beyond:
             seen = outlines.detections[k]
-            yield f"{seen.ball} in {seen.camera} sits {off[k]:.1f} px off the fit"
+            yield Doubt("off-the-fit", ball=seen.ball, camera=seen.camera, off_px=off[k])
 
     def _flags(self, fit: JointFit, outlines: NamedOutlines, view_noise: Floats) -> tuple[str, ...]:
         flags = list(self._off_the_fit(fit, outlines, view_noise))
@@ -311,21 +312,19 @@ class ContoursSolver(PoseSolver):
         # What more than half of the views agree on: of two, the one that is less off.
         growth = max(median_low(offsets), 0.0) + min(median_high(offsets), 0.0)
         if balls < 3:
-            flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
+            flags.append(Doubt("part-predicted", balls=balls))
         if len(outlines.named.seen_by) < 2:
-            flags.append("only one camera: depth is from the balls' sizes")
+            flags.append(Doubt("depth-by-size"))
         elif abs(growth) > self.config.max_growth_px:
-            flags.append(
-                f"outlines lie {abs(growth):.1f} px {'outside' if growth > 0 else 'inside'} where "
-                "the radii in the body file put them"
-            )
+            side = "outside" if growth > 0 else "inside"
+            flags.append(Doubt("outlines", off_px=abs(growth), side=side))
         if not fit.found.converged:
-            flags.append("the fit did not settle")
+            flags.append(Doubt("unsettled"))
         variances = fit.covariance.diagonal().tolist()
         position = math.sqrt(sum(variances[:3]))
         rotation = math.degrees(math.sqrt(sum(variances[3:])))
         if position > self.config.max_position_sd_mm or rotation > self.config.max_rotation_sd_deg:
-            flags.append(f"poorly determined: {position:.2g} mm, {rotation:.2g} deg (1 sd)")
+            flags.append(Doubt("poorly-determined", sd_mm=position, sd_deg=rotation))
         return tuple(flags)
 
 

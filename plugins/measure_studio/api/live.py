@@ -24,7 +24,7 @@ from measure.api.run_log import LogOptions, RunLog
 from measure.api.warming_up import warm_pipeline
 from measure.errors import ConfigError
 from measure.host import EventMark, Registry, SentPose, SentRun
-from measure.model import Body, Camera, FrameSet, Image
+from measure.model import Body, Camera, Doubt, FrameSet, Image
 from measure.processes import share_heaps
 from measure.results import Provenance, RunWriter, Summary, check_run_folder
 from measure.session import Calibration, check_bodies, check_unit, read_body
@@ -267,7 +267,7 @@ def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> Non
 def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:
     """The same, saying which cameras are away; a pose without them is as good as it states."""
     known = {*measured.frames, *measured.copies}
-    return measured.noted("; ".join(f"{name} is away" for name in away if name not in known))
+    return measured.noted(*(Doubt("away", camera=name) for name in away if name not in known))
 
 
 def _sent_poses(run: SentRun, measured: Sequence[Measurement], known_s: float) -> list[SentPose]:

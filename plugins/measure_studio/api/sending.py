@@ -93,8 +93,9 @@ def sent_pose(
         exposed_s=measured.time_s,
         known_s=time.time() if known_s is None else known_s,
         status=measured.status.value,
-        reason=measured.doubts,
+        reason=measured.reason,
         pose=measured.pose,
+        doubts=measured.doubts,
     )
 
 

@@ -315,7 +315,7 @@ def _judgement(bench: Bench, wave: _Wave) -> None:
             headline.text = _headline(verdict)
             put(headline, "wrong", not verdict.trustworthy)
             put(headline, "good", verdict.trustworthy)
-            found.set_content(findings_shown(_findings(wave.result), bench.names))
+            found.set_content(findings_shown(_findings(wave.result)))
 
     kept_so(0.5, show)
 

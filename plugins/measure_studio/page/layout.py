@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from html import escape
@@ -18,7 +18,7 @@ from measure.errors import ConfigError, MeasureError
 from measure_studio import api as studio_api
 from measure_studio.page.bench import Bench, before_of
 from measure_studio.page.steps import ASIDE, STEPS, step_of
-from measure_studio.page.words import grouped, plain
+from measure_studio.page.words import plain
 
 _T = TypeVar("_T")
 _Key = TypeVar("_Key")
@@ -149,22 +149,19 @@ _LEVELS = {"wrong": "✕", "weak": "▲", "note": "·"}
 """Findings differ in shape as well as in colour."""
 
 
-def findings_shown(findings: Iterable[Any], cameras: Sequence[str]) -> str:
+def findings_shown(findings: Iterable[Any]) -> str:
     """Findings as an HTML list, the gravest first; notes are folded away.
 
     What is found of several cameras alike stands in one line.
     """
-    by_level: dict[str, list[str]] = {level: [] for level in _LEVELS}
+    cameras: dict[tuple[str, str], list[str]] = {}
     for one in findings:
-        where = f"{one.camera}: " if one.camera else ""
-        by_level[one.level.value].append(f"{where}{one.text}")
-    listed = {
-        level: "".join(
-            f'<li class="{level}"><b>{_LEVELS[level]} {level}</b> {escape(plain(text))}</li>'
-            for text in grouped(texts, cameras)
-        )
-        for level, texts in by_level.items()
-    }
+        cameras.setdefault((one.level.value, one.text), []).append(one.camera)
+    listed = dict.fromkeys(_LEVELS, "")
+    for (level, text), names in cameras.items():
+        words = ": ".join(filter(None, (", ".join(filter(None, names)), text)))
+        mark = f"<b>{_LEVELS[level]} {level}</b>"
+        listed[level] += f'<li class="{level}">{mark} {escape(plain(words))}</li>'
     notes = (
         f"<details><summary>Details (nothing to do)</summary><ul>{listed['note']}</ul></details>"
     )

@@ -39,7 +39,7 @@ from measure_studio.page.layout import (
     tried,
 )
 from measure_studio.page.live_view import LiveView
-from measure_studio.page.words import grouped, named, plain
+from measure_studio.page.words import named, plain
 
 _REST_COLUMNS = ("body", "rest", "x y z mm", "from the first, mm")
 _OLD_S = 2.0  # After so long without a pose the last one is no longer shown as if it were live
@@ -354,7 +354,7 @@ def _checked(live: _Live) -> None:
             headline.text = "Something is wrong" if wrong else "The recording is sound"
             put(headline, "wrong", bool(wrong))
             put(headline, "good", not wrong)
-            listed.set_content(findings_shown(live.findings, live.bench.names))
+            listed.set_content(findings_shown(live.findings))
 
     kept_so(0.5, show)
 
@@ -384,9 +384,7 @@ def pose_shown(name: str, measured: api.Measurement, age: str, goes_on: bool = T
     if age:
         age = f"was {word}; {age}" if goes_on else f"the last pose was {word}, {age}"
         word, kind = ("OLD", kind) if goes_on else ("STOPPED", kind)
-    plain_doubts = (plain(doubt) for doubt in measured.doubts.split("; ") if doubt)
-    doubts = grouped(plain_doubts, [*measured.frames, *measured.copies])
-    listed = "".join(f"<li>{escape(doubt)}</li>" for doubt in doubts)
+    listed = "".join(f"<li>{escape(plain(one))}</li>" for one in api.counted([measured.doubts]))
     figures = f'<ul class="doubts">{listed}</ul>' if listed else ""
     if (pose := measured.pose) is not None:
         sd = "span" if measured.status.value == "ok" else "s"

@@ -142,7 +142,7 @@ def _row(
         said.set_visibility(findings is not None)
         if findings is not None:
             nothing = '<p class="good">nothing wrong, nothing weak</p>'
-            said.set_content(findings_shown(findings, bench.names) or nothing)
+            said.set_content(findings_shown(findings) or nothing)
 
     kept_so(1.0, show_found)
     return card, show

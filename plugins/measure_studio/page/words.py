@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 
 _UNIX_S = re.compile(r"\b1[5-9]\d{8}\.\d+\b")
 _OPTION = re.compile(r"(?:^|\s)`?(?:--[a-z][\w-]*|measure [a-z]+\b)")
-_NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _GIVEN = re.compile(r"^--[a-z][\w-]*(?:[ =]\S*)?: ")
 """How a message begins that names the option whose value is wrong."""
 
@@ -29,21 +27,6 @@ def plain(text: str, folder: Path | None = None) -> str:
     clauses = text.split("; ")
     left = [clause for clause in clauses if not _OPTION.search(clause)]
     return "; ".join(left or map(_without_command, clauses))
-
-
-def grouped(texts: Iterable[str], names: Sequence[str]) -> list[str]:
-    """Texts that differ by the camera and by numbers alone in one line: "cam0, cam1: ..."."""
-    any_name = re.compile("|".join(rf"\b{re.escape(name)}\b" for name in names) or r"(?!)")
-    alike: dict[str, list[str]] = {}
-    for text in texts:
-        alike.setdefault(_NUMBER.sub("#", any_name.sub("@", text)), []).append(text)
-    lines = []
-    for first, *others in alike.values():
-        said = dict.fromkeys(name for text in others for name in any_name.findall(text))
-        also = [name for name in said if name not in any_name.findall(first)]
-        lines.append(f"{first} (alike in {', '.join(also)})" if also else first)
-        lines += [] if also else dict.fromkeys(text for text in others if text != first)
-    return lines
 
 
 def named(name: str, text: str) -> str:

@@ -100,6 +100,7 @@ def test_what_is_sent_is_what_the_run_holds(run):
     assert "body" not in rows[0]
     assert rows[9]["status"] == "flagged"
     assert rows[9]["reason"] == "the balls are far apart"
+    assert rows[9]["doubts"] == [{"code": "other", "text": rows[9]["reason"]}]
     assert (rows[49]["status"], rows[49]["x_mm"]) == ("lost", None)
     assert rows[49]["reason"] == "too few balls"
     covariance = np.reshape(rows[3]["covariance"], (6, 6))

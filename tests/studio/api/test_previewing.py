@@ -147,7 +147,7 @@ def test_rests_are_found_while_poses_come(rng, paper_body, webcam):
         off = rng.multivariate_normal(np.zeros(6), covariance)
         pose = Pose(k / 30, place.perturb(off), covariance, 0.0, 0.1, (), ())
         rests.add(Measurement(k, k / 30, {}, (), (), pose, Status.OK))
-    lost = Measurement(80, 80 / 30, {}, (), (), None, Status.LOST, "no ball")
+    lost = Measurement(80, 80 / 30, {}, (), (), None, Status.LOST, ("no ball",))
     rests.add(lost)
     found = rests.find()
     assert len(found) == 2
