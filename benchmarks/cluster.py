@@ -29,7 +29,7 @@ def rows(sessions: Sequence[Path], workers: Sequence[int], out: Path) -> Iterato
     from distributed import LocalCluster
 
     profile, registry = load_profile("precise"), Registry.discover()
-    options = RunOptions(image_every=0)
+    options = RunOptions(images="none")
     run(sessions[0], out / "alone", profile, registry, options)
     alone = (out / "alone" / "poses.csv").read_bytes()
     first = 0.0

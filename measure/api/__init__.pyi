@@ -9,7 +9,7 @@ from measure.api.calibrating import (
     shipped_targets,
     write_measured_board,
 )
-from measure.api.calibrating_by_body import calibrate_by_body, calibrate_by_body_to
+from measure.api.calibrating_by_body import calibrate_by_body
 from measure.api.check import SessionCheck, check
 from measure.api.demo import Addition, Demo, demo, render_demo
 from measure.api.detecting import (
@@ -41,7 +41,7 @@ from measure.api.profiles import (
 )
 from measure.api.refining import BodySearch, FoundBody, RefineResult, find_body, refine
 from measure.api.results import body_names, evaluate, export
-from measure.api.run import RunOptions, parse_images, run
+from measure.api.run import RunOptions, run
 from measure.api.spreading import Workers
 from measure.api.stretches import run_in_stretches
 from measure.api.synchronising import SyncedClock, sync
@@ -81,13 +81,12 @@ __all__ = [
     "RefineResult", "Registry", "RigWatch", "RigidTransform", "RunOptions", "Samples",
     "SeenPicture", "SessionCheck", "Sheet", "SyncedClock", "Verdict", "WaveState", "Workers",
     "begin_marks", "board_frame", "board_length", "body_names", "build_detectors",
-    "build_pipeline", "calibrate", "calibrate_by_body", "calibrate_by_body_to", "calibrate_to",
-    "check", "choose", "clicked_color", "counted", "demo", "detect", "draw", "draw_target",
-    "drawings", "evaluate", "evaluation_tables", "events", "export", "find_body", "find_target",
-    "inside",
+    "build_pipeline", "calibrate", "calibrate_by_body", "calibrate_to",
+    "check", "choose", "clicked_color", "counted", "demo", "detect", "draw", "draw_target", "drawings",
+    "evaluate", "evaluation_tables", "events", "export", "find_body", "find_target", "inside",
     "is_session", "learnt_colors", "load_profile", "mark_event", "measure_bodies",
     "measure_session", "mend", "new_folder", "other_board", "output", "paper_body",
-    "parse_click", "parse_expectation", "parse_images", "profile_names", "read_board",
+    "parse_click", "parse_expectation", "profile_names", "read_board",
     "read_body", "read_calibration", "read_intrinsics", "read_trajectory", "refine",
     "relative_measurements", "render_demo", "run", "run_in_stretches", "run_many",
     "sampled_color", "search_bodies", "shipped_targets", "sync", "target_sheet", "write_body",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,6 +33,7 @@ from measure.calibration.targets import kind_of, read_board_file
 from measure.checking.coverage import HIDDEN_SHARE, hidden_share, longer_arms
 from measure.errors import ConfigError
 from measure.geometry import UncertainTransform
+from measure.host import Registry
 from measure.model import Body, Camera, paper_body
 from measure.processes import Progress, quiet
 from measure.results.pose_table import poses_of
@@ -41,6 +42,7 @@ from measure.session import (
     Calibration,
     check_unit,
     dump_toml,
+    is_session,
     read_body,
     write_body,
     write_calibration,
@@ -89,49 +91,56 @@ def calibrate(
 
 
 def calibrate_to(
-    out: Path,
     capture: Path,
+    out: Path,
+    registry: Registry,
+    overwrite: bool = False,
     method: str = JOINT,
     body: Path | None = None,
-    progress: Progress = quiet,
-    *,
+    lenses: Path | None = None,
     file_format: str = "triball",
     report: Path | None = None,
-    overwrite: bool = False,
+    progress: Progress = quiet,
 ) -> tuple[CalibrationResult, Path]:
-    """`calibrate`, written to a file, with the report as a page beside it.
+    """Calibrate cameras from pictures of boards and markers, or of the waved body.
+
+    The command's exit code is 3 if the judgement finds anything wrong; the calibration is then
+    written as well.
 
     Args:
-        file_format: of the file; only "triball" holds covariances and the judgement.
-        report: the page; beside the file, ending in .html, if omitted.
+        capture: capture folder (docs/calibration.md), or its capture.toml; or a session in which
+            the body is waved, which needs no calibration: the world is the first camera's frame.
+        out: the calibration to write.
+        method: "joint" solves all cameras at once; "paper" each from its markers (equation 3).
+        body: the waved body; or the one to judge a capture's calibration with, the paper's
+            three-ball body if omitted.
+        lenses: for a session, a calibration that gives the lenses only.
+        file_format: triball, anipose, caliscope or opencv; only "triball" holds covariances and
+            the judgement.
+        report: HTML report to write; beside the output, ending in .html, if omitted.
 
     Returns:
-        The result, and the page.
-    """
-    name = capture.name or str(capture)
-    return write_judged(
-        lambda: (name, calibrate(capture, method, body, progress)),
-        out, file_format, report, overwrite,
-    )  # fmt: skip
-
-
-def write_judged(
-    make: Callable[[], tuple[str, CalibrationResult]],
-    out: Path,
-    file_format: str,
-    report: Path | None,
-    overwrite: bool,
-) -> tuple[CalibrationResult, Path]:
-    """Write what is made, by the name of its recording, and a page beside it; see `calibrate_to`.
-
-    That both can be written is known before it is made.
+        The result, and the report.
     """
     from measure.viewing.report.calibration_report import calibration_report
 
+    waved = is_session(capture)
+    if waved and method != JOINT:
+        raise ConfigError(f"--method {method}: a waved body calibrates all cameras at once")
+    if lenses is not None and not waved:
+        raise ConfigError("--lenses: a capture.toml names the lenses of its cameras itself")
     page = out.with_suffix(".html") if report is None else report
     check_apart(out, page)
+    # That both can be written is known before anything is made.
     with output(out, overwrite) as file, output(page, overwrite) as written:
-        name, result = make()
+        if waved:
+            from measure.api.calibrating_by_body import calibrate_by_body
+
+            result = calibrate_by_body(capture, body, registry, lenses, progress=progress)
+            name = str(result.calibration.provenance["capture"])
+        else:
+            result = calibrate(capture, method, body, progress)
+            name = capture.name or str(capture)
         write_calibration(file, result.calibration, file_format)
         text = calibration_report(name, result.rig, result.verdict)
         written.write_text(text, encoding="utf-8")
@@ -144,16 +153,17 @@ def draw_target(
     overwrite: bool = False,
     run: Path | None = None,
 ) -> tuple[Sheet, Path]:
-    """Draw a target file as a printable sheet; gives the sheet and the file written.
-
-    A body for the views of a run gets arms with which its balls seldom hide each other, and its
-    body file is written beside the sheet.
+    """Draw a printable board, marker field or body.
 
     Args:
-        target: TOML of a chessboard, ChArUco board, marker field or body: its path, or the name of
-            one that comes with the program (see `shipped_targets`).
-        out: .pdf or .svg; the target's name with .pdf in the current folder if omitted.
-        run: of a body like this one, by the cameras that are to see it.
+        target: TOML of the target, or the name of one that comes with the program:
+            charuco_8x5_27, chessboard_9x6_25, raven_markers_16, raven_three_ball.
+        out: .pdf or .svg to write; the target's name with .pdf in this folder if omitted.
+        run: a run of a body like TARGET: its arms are made so long that its balls hide each other
+            in less than 15 % of the views there, and its body file is written beside the sheet.
+
+    Returns:
+        The sheet, and the file written.
     """
     written = Path(out or f"{Path(target).stem}.pdf")
     with output(written, overwrite, beside=[".toml"] if run else []) as file:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.api.calibrating import CalibrationResult, write_judged
+from measure.api.calibrating import CalibrationResult
 from measure.api.lenses import tagged_px
 from measure.api.measuring import search_frame_sets
 from measure.api.profiles import build_detectors, build_pipeline, load_profile
@@ -126,27 +126,6 @@ def calibrate_by_body(
         }
     calibration = Calibration(shape.cameras, values, shape.scale_sd)
     return CalibrationResult(calibration, located, verdict)
-
-
-def calibrate_by_body_to(
-    out: Path,
-    session: Path,
-    body: Path | None,
-    registry: Registry,
-    lenses: Path | None = None,
-    progress: Progress = quiet,
-    *,
-    file_format: str = "triball",
-    report: Path | None = None,
-    overwrite: bool = False,
-) -> tuple[CalibrationResult, Path]:
-    """`calibrate_by_body`, written to a file, with the report as a page beside it."""
-
-    def make() -> tuple[str, CalibrationResult]:
-        result = calibrate_by_body(session, body, registry, lenses, progress=progress)
-        return str(result.calibration.provenance["capture"]), result
-
-    return write_judged(make, out, file_format, report, overwrite)
 
 
 def _cameras_of(

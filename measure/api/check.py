@@ -13,7 +13,7 @@ import numpy as np
 from measure.api.checking_channels import channel_causes
 from measure.api.checking_files import check_files, clocks_apart, file_findings
 from measure.api.measuring import measure_session, search_frame_sets
-from measure.api.profiles import build_detectors, load_profile
+from measure.api.profiles import DEFAULT_PROFILE, build_detectors, load_profile
 from measure.api.synchronising import find_offsets, shift_clocks
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
@@ -84,37 +84,45 @@ class SessionCheck:
 
 
 def check(
-    session_path: Path,
+    session: Path,
     registry: Registry,
-    profile: Profile | None = None,
+    profile: Profile | str = DEFAULT_PROFILE,
     calibration: Path | None = None,
     body: Path | None = None,
     samples: int = 24,
     clock_samples: int = 120,
     progress: Progress = quiet,
 ) -> SessionCheck:
-    """Find what is wrong or weak in a recording; without a body or a calibration, in its files.
+    """Find faults of a session before you measure it.
+
+    Looks for dropped frames, pictures that come twice or are damaged, uneven stamps, clocks that
+    differ, a shutter that rolls, a body file that does not match, cameras that were moved or are
+    calibrated badly, balls that are seldom seen; and says how accurate the set-up can be. Without a
+    body or a calibration only the files are looked at.
+
+    The command's exit code is 3 if anything is wrong.
 
     Args:
-        profile: whose detector searches the pictures, and whose stages measure the motion.
-        samples: frame sets, spread over the recording, in which all is searched.
-        clock_samples: frame sets from the start that are measured to compare the clocks; 0: none.
+        session: the session's folder; it is only read.
+        profile: `precise`, or the path of a profile of your own (.toml).
+        calibration: a calibration to use instead of the session's.
+        body: a body file to use instead of the session's.
+        samples: frame sets, spread over the recording, in which everything is searched.
+        clock_samples: frame sets measured to compare the clocks; 0 leaves the clocks out.
     """
     if samples < 1 or clock_samples < 0:
         raise ConfigError(
             f"{samples} samples, {clock_samples} clock samples: expected at least 1 and 0"
         )
     given = {"body": body, "calibration": calibration}
-    if lacking := [name for name in session_lacks(session_path) if given[name] is None]:
-        name, frame_sets, found = check_files(session_path, lacking, progress)
+    if lacking := [name for name in session_lacks(session) if given[name] is None]:
+        name, frame_sets, found = check_files(session, lacking, progress)
         return SessionCheck(name, frame_sets, frame_sets, found)
-    with open_session(session_path, calibration, body, clocks_apart=clock_samples > 0) as session:
-        looking = Looking(
-            session, registry, profile or load_profile(), samples, clock_samples, progress
-        )
+    with open_session(session, calibration, body, clocks_apart=clock_samples > 0) as opened:
+        looking = Looking(opened, registry, load_profile(profile), samples, clock_samples, progress)
         look = looking.with_clocks_set() if clock_samples else looking.look()
-        findings = [*look.pictures, *file_findings(session.streams, session.notes, looking.step)]
-        return _concluded(session, look, findings)
+        findings = [*look.pictures, *file_findings(opened.streams, opened.notes, looking.step)]
+        return _concluded(opened, look, findings)
 
 
 def _concluded(session: Session, look: Look, findings: list[Finding]) -> SessionCheck:

@@ -67,7 +67,7 @@ def demo(
     scene = webcam_scene()
     pictures = frames * len(scene.cameras)
     run_folder, picture = folder / "run", folder / "demo.png"
-    options = RunOptions(image_every=max(frames // 10, 1))
+    options = RunOptions(images=max(frames // 10, 1))
     with new_folder(folder, overwrite, _MARK):
         _check_frames(frames)
         with compilation_notice() as end_notices:

@@ -12,7 +12,7 @@ import numpy as np
 
 from measure.api.check import Look, Looking
 from measure.api.outputs import check_folder, new_folder
-from measure.api.profiles import load_profile
+from measure.api.profiles import DEFAULT_PROFILE, load_profile
 from measure.checking.causes import ALL, Cause, Word, in_words
 from measure.checking.explaining import Explanation
 from measure.checking.finding import Finding, Level
@@ -27,6 +27,9 @@ from measure.processes import Progress, quiet
 from measure.session import CameraSource, Session, SessionParts, open_session, session_file
 
 _MOST_MENDS, _MOST_RIVALS, _SHARPENED = 5, 2, 2
+_SAMPLES, _CLOCK_SAMPLES = 24, 300
+"""Frame sets, spread over the recording, in which all is searched, and those measured from its
+start."""
 _FEWEST = 9  # Instants; a third of them is kept out
 _BETTER = 0.95
 """Times the residuals of before, in the RMS, from which kept-out instants count as improved."""
@@ -123,44 +126,42 @@ def _compared(before: Fitness, after: Fitness) -> str:
 
 
 def mend(
-    session_path: Path,
+    session: Path,
     out: Path,
     registry: Registry,
-    profile: Profile | None = None,
-    samples: int = 24,
-    clock_samples: int = 300,
+    profile: Profile | str = DEFAULT_PROFILE,
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> Mended:
-    """Take out of a recording what is off with its cameras, its body or its stamps.
+    """Correct faults in a copy of a session's calibration, body and timestamps.
 
-    What `check` names is fitted to two thirds of the instants and changed in a copy. The copy is
-    kept if the other third fits better; then `check` is asked again.
+    It mends what `check` names, one cause after the other, by two thirds of the recording, and
+    keeps a mend only if the other third fits better. The session and its pictures stay as they
+    are: the new folder names the pictures by their paths.
+
+    Nothing is written, and the command's exit code is 3, where two causes that need different mends
+    explain the recording, where a mend makes it fit no better, or where only a person can mend it.
 
     Args:
-        out: folder of the new session, which names the pictures by their paths; it is written
-            only if nothing is refused.
-        profile: whose detector searches the pictures, and whose stages measure the motion.
-        samples: frame sets, spread over the recording, in which all is searched.
-        clock_samples: frame sets from the start that are measured.
+        session: the session's folder; it is only read.
+        out: the folder to write, a session that `measure run` measures.
+        profile: `precise`, or the path of a profile of your own (.toml).
 
     Raises:
         MeasureError: the recording cannot be read, or `out` cannot be written.
     """
     check_folder(out, overwrite, _MARK)
     with TemporaryDirectory() as scratch:
-        with open_session(session_path, clocks_apart=True) as session:
-            parts, name = SessionParts.of(session), session.name
-            _refuse_pictures_in(out, session)
-        mending = _Mending(
-            registry, profile or load_profile(), samples, clock_samples, progress, Path(scratch)
-        )
+        with open_session(session, clocks_apart=True) as opened:
+            parts, name = SessionParts.of(opened), opened.name
+            _refuse_pictures_in(out, opened)
+        mending = _Mending(registry, load_profile(profile), progress, Path(scratch))
         first = mending.looked_at(parts)
         last, changes, refused = mending.mended(first)
         wrong = tuple(c.finding for c in last.look.causes if c.level is Level.WRONG)
         found = Mended(name, tuple(changes), first.fitness, last.fitness, refused, wrong)
         if not refused:
-            origin = {"mended_from": str(session_file(session_path).absolute())}
+            origin = {"mended_from": str(session_file(session).absolute())}
             mended = {"mended": [text for change in changes for text in change.changed]}
             provenance = {**last.parts.provenance, **origin, **(mended if changes else {})}
             with new_folder(out, overwrite, _MARK):
@@ -206,8 +207,6 @@ class _Mending:
 
     registry: Registry
     profile: Profile
-    samples: int
-    clock_samples: int
     progress: Progress
     scratch: Path
     _number: count[int] = field(default_factory=count)
@@ -219,9 +218,8 @@ class _Mending:
         parts.write(folder)
         with open_session(folder, clocks_apart=True) as session:
             look = Looking(
-                session, self.registry, self.profile, self.samples, self.clock_samples,
-                self.progress,
-            ).with_clocks_set()  # fmt: skip
+                session, self.registry, self.profile, _SAMPLES, _CLOCK_SAMPLES, self.progress
+            ).with_clocks_set()
         return _State(parts, look, Fitness.of(look))
 
     def mended(self, state: _State) -> tuple[_State, list[Change], str]:

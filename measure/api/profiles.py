@@ -29,11 +29,14 @@ def profile_names() -> list[str]:
     return sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".toml"))
 
 
-def load_profile(name: str = DEFAULT_PROFILE) -> Profile:
+def load_profile(name: Profile | str = DEFAULT_PROFILE) -> Profile:
     """A profile that comes with the program, by name, or any by the path of its TOML file.
 
-    A run's `run.toml` serves as well: it holds the profile the run was made with.
+    A run's `run.toml` serves as well: it holds the profile the run was made with. A profile is
+    given back as it is.
     """
+    if isinstance(name, Profile):
+        return name
     if Path(name).name == RUN_FILE:
         return load_toml(name, _ProfileOfRun, ConfigError).profile
     if name.endswith(".toml"):

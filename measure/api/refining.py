@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from measure.api.measuring import calibrated_pipeline, search_frame_sets
-from measure.api.profiles import build_detectors, load_profile
+from measure.api.outputs import check_apart, output
+from measure.api.profiles import DEFAULT_PROFILE, build_detectors, load_profile
 from measure.arrays import Floats
 from measure.calibration import (
     RefinedRig,
@@ -49,6 +50,8 @@ from measure.session import (
     open_session,
     read_body,
     read_calibration,
+    write_body,
+    write_calibration,
 )
 
 _log = logging.getLogger(__name__)
@@ -78,28 +81,58 @@ class RefineResult:
 def refine(
     session: Path | str,
     registry: Registry,
-    profile: str = "precise",
-    settings: RefineSettings | None = None,
+    out: Path | None = None,
+    file_format: str = "triball",
+    body_output: Path | None = None,
+    overwrite: bool = False,
+    profile: Profile | str = DEFAULT_PROFILE,
     calibration: Path | str | None = None,
-    progress: Progress = quiet,
     only: Sequence[str] = (),
+    body_tolerance_mm: float | None = None,
+    progress: Progress = quiet,
 ) -> RefineResult:
-    """Measure a session and refine its cameras by bundle adjustment over it.
+    """Refine a calibration from the moving balls themselves.
 
-    Where all others contradict a camera, that alone is freed: shared out among all cameras, its
-    error would move the world.
+    A camera that the others contradict while they agree is freed alone, and said; they stay as they
+    are. What would be shared out among all cameras (a zoom of all, another scale, a ball elsewhere,
+    a camera moved midway) is refused.
 
     Args:
-        profile: how to measure, by name or TOML file.
-        settings: what may change, and how far.
+        session: recording in which the body is carried through the whole workspace.
+        out: the calibration to write.
+        file_format: triball, anipose, caliscope or opencv; only "triball" holds covariances and
+            notes.
+        body_output: body file to write, with the balls where the recording puts them.
+        profile: how to measure the session, by name or TOML file.
         calibration: first calibration, if not the session's own.
-        only: the cameras to free; those that the others contradict, or else all, if none is given.
+        only: a camera to free, the others held; may be repeated.
+        body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact;
+            what the body file states, or 0.05, if omitted.
 
     Raises:
         CalibrationError: too little is seen, the result is implausible, or what is off is not
             some cameras' alone.
     """
-    chosen = lenient(load_profile(profile))
+    check_apart(*filter(None, (out, body_output)))
+    with output(out, overwrite) as file, output(body_output, overwrite) as body:
+        if body_tolerance_mm is not None and not 0 <= body_tolerance_mm < np.inf:
+            raise ConfigError(f"--body-tolerance-mm {body_tolerance_mm:g}: must be 0 or more")
+        settings, chosen = RefineSettings(body_tolerance_mm), lenient(load_profile(profile))
+        result = _refined(session, registry, chosen, settings, calibration, progress, only)
+        write_calibration(file, result.calibration, file_format)
+        write_body(body, result.body)
+    return result
+
+
+def _refined(
+    session: Path | str,
+    registry: Registry,
+    chosen: Profile,
+    settings: RefineSettings,
+    calibration: Path | str | None,
+    progress: Progress,
+    only: Sequence[str],
+) -> RefineResult:
     with open_session(session, calibration=calibration) as opened:
         _check_names(only, opened.cameras)
         first, body, joint = opened.cameras, opened.body, joint_covariance(opened)
@@ -244,15 +277,22 @@ class FoundBody:
 
 @dataclass(frozen=True)
 class BodySearch:
-    """Which body is looked for, and how."""
+    """Which body is looked for, and how.
 
-    radius_mm: float  # of each ball
-    # Body file with the balls' names and colours and the frame to use; needed where two balls have
-    # one colour, or one that has no common name.
+    Attributes:
+        radius_mm: radius of each ball.
+        like: body file with the balls' names and colours and the frame to use; needed where two
+            balls have one colour, or one that has no common name.
+        origin: ball to put the origin at; the centroid of all if omitted.
+        calibration: a calibration to use instead of the session's.
+        profile: how to measure the session, by name or TOML file.
+    """
+
+    radius_mm: float
     like: Path | None = None
-    origin: str | None = None  # ball to put the origin at; the centroid of all if omitted
-    calibration: Path | None = None  # used instead of the session's own
-    profile: str = "precise"  # how to measure the session, by name or TOML file
+    origin: str | None = None
+    calibration: Path | None = None
+    profile: str = DEFAULT_PROFILE
 
 
 def find_body(

@@ -69,15 +69,20 @@ def export(
     smooth_s: float | None = None,
     velocity: bool = False,
 ) -> Path:
-    """Write a run in another program's format; gives the file.
+    """Write a run in another program's format.
 
     Args:
-        file_format: "csv", "tum", "trc", "c3d" or "mcap".
-        out: the file to write; `export.FORMAT` in the run's folder if omitted.
-        overwrite: replace what is there, but for the run's own files.
+        run: the run's folder.
+        file_format: csv (poses with covariances), tum (evo; metres), trc (OpenSim markers), c3d
+            (markers) or mcap (ROS 2; metres).
+        out: the file to write; export.FORMAT in the run's folder if omitted.
         body: which body, of a run of several; all if omitted.
-        smooth_s: smooth poses over so long on either side; as measured if omitted.
-        velocity: write velocities as well.
+        smooth_s: smooth the unflagged poses by cubics over so many seconds on either side; they are
+            as measured if omitted. Of csv, tum and mcap.
+        velocity: write velocities as well, with their covariance. Of csv and mcap.
+
+    Returns:
+        The file.
     """
     path = Path(run) / f"export.{file_format}" if out is None else Path(out)
     with output(path, overwrite, own_files(Path(run))) as file:

@@ -1,6 +1,6 @@
 """Measuring a session into a run folder."""
 
-from __future__ import annotations
+# Annotations are no texts here: cyclopts reads them of records that inherit these in other modules.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -13,7 +13,7 @@ from measure.api.measuring import measure_bodies, why_not_kept
 from measure.api.run_log import LogOptions, RunLog
 from measure.checking import ColorCount, Finding, Level
 from measure.checking.pictures import stamp_causes
-from measure.errors import ConfigError, MeasureError
+from measure.errors import MeasureError
 from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Measurement, Profile
@@ -30,32 +30,29 @@ _FIRST_FRAME_SETS = 3  # Frame sets that are looked at for colour before a run
 
 @dataclass(frozen=True)
 class RunOptions(LogOptions):
-    """How a run is written, beside its recording."""
+    """How a session is measured, and what becomes of an earlier run.
 
-    resume: bool = False  # go on with an earlier run of the same, where it ended
-    overwrite: bool = False  # throw an earlier run away
-    calibration: Path | None = None  # a calibration file to use instead of the session's own
-    # a body file to use instead of the session's own, or several.
-    body: Path | Sequence[Path] | None = None
-    # name of the body that the others are measured relative to, instead of the session's.
+    Attributes:
+        calibration: a calibration to use instead of the session's.
+        body: the body's file, instead of a session's own; may be repeated for several bodies.
+        reference: name of the body that the others are measured relative to.
+        resume: continue an interrupted run: its rows stay, the rest is measured.
+        overwrite: Replace what is there.
+        keep_calibration: if omitted, a camera that is moved meanwhile is left out and brought back;
+            `follow` also follows one that drifts; `warn` only names it; `off` measures with it as
+            it is.
+    """
+
+    calibration: Path | None = None
+    body: Sequence[Path] = ()
     reference: str | None = None
-    # what is done about cameras that are moved meanwhile; None: those that were knocked are brought
-    # back, where they can be, and those that drift are named.
+    resume: bool = False
+    overwrite: bool = False
     keep_calibration: Keep | None = None
 
     def open(self, session: Path) -> Session:
         """Open a session with these files."""
-        return open_session(session, self.calibration, self.body, reference=self.reference)
-
-
-def parse_images(text: str) -> int:
-    """Read none, all or a number N as `RunOptions.image_every`; ConfigError: anything else."""
-    known = {"none": 0, "all": 1}
-    if text in known:
-        return known[text]
-    if text.isdecimal() and int(text) > 0:
-        return int(text)
-    raise ConfigError(f"--images {text}: expected none, all, or a number N for every N-th set")
+        return open_session(session, self.calibration, self.body or None, reference=self.reference)
 
 
 def run(
@@ -95,10 +92,10 @@ def run(
         # Stages that do not fit together or fail at the very first picture are met here: before a
         # folder is made, or an earlier run lost.
         first = list(islice(measured, 1))
-        options = _recording_due(replace(options, frame_sets=total), out, kept, on_note)
+        options = _recording_due(options, out, kept, total, on_note)
         kept_runs = writer.kept_runs if kept and options.wanted else ()
         writer.begin()
-        log = stack.enter_context(_log(session, out, options, kept, on_note))
+        log = stack.enter_context(_log(session, out, options, kept, total, on_note))
         for again in _measured_before(kept_runs, kept):
             log.add(again)
         for frame_set, measurements in chain(first, measured):
@@ -251,7 +248,12 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
 
 
 def _log(
-    session: Session, out: Path, options: RunOptions, kept: int, note: Callable[[str], None]
+    session: Session,
+    out: Path,
+    options: RunOptions,
+    kept: int,
+    total: int,
+    note: Callable[[str], None],
 ) -> RunLog:
     """The recording of a run of this session, its truth and its videos in it."""
     truths, videos = dict[str, Trajectory](), None
@@ -261,22 +263,23 @@ def _log(
         truths = _truths(session)
         videos = passed_videos(session) if options.image_every else None
     return RunLog(
-        session.name, session.bodies, session.cameras, out, options, kept, truths, videos, note
-    )
+        session.name, session.bodies, session.cameras, out, options, kept, truths, videos, note,
+        total,
+    )  # fmt: skip
 
 
 def _recording_due(
-    options: RunOptions, out: Path, kept: int, on_note: Callable[[str], None]
+    options: RunOptions, out: Path, kept: int, total: int, on_note: Callable[[str], None]
 ) -> RunOptions:
     """The same, but without a recording where that of a finished run is whole."""
     path = out / "run.rrd"
     if not (kept and options.recording):
         return options
-    if kept == options.frame_sets:
+    if kept == total:
         from measure.viewing.recording import is_whole
 
         if is_whole(path):
-            return replace(options, recording=False, viewer=None)
+            return replace(options, recording=False, connect=None)
     on_note(
         f"{path}: made anew from the tables up to there, without pictures and what was detected "
         "in them"

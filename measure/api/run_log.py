@@ -1,6 +1,6 @@
 """`run.rrd`, written while a run is measured, and what is sent to a viewer meanwhile."""
 
-from __future__ import annotations
+# Annotations are no texts here: cyclopts reads them of records that inherit these in other modules.
 
 import math
 import shutil
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from measure.errors import RunError
+from measure.errors import ConfigError, RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera, FrameSet
 from measure.processes import largest_file_bytes
@@ -20,7 +20,7 @@ from measure.results.journal import unfinished
 from measure.session import Trajectory
 
 if TYPE_CHECKING:
-    from measure.viewing.recording import PassedVideo, RunRecording
+    from measure.viewing import recording
 
 RESERVED_BYTES = 32_000_000
 """Least room on the disk to go on: more than the recording buffers at a time."""
@@ -31,24 +31,41 @@ camera of a frame set (300 sets of four cameras and three balls take 10 MB); and
 
 @dataclass(frozen=True)
 class LogOptions:
-    """What goes into a run's recording."""
+    """What goes into a run's recording, and to a viewer meanwhile.
 
-    image_every: int = 0  # pictures of every n-th frame set go into `run.rrd`; 0 for none
-    recording: bool = True  # whether to write `run.rrd` at all
-    viewer: str | None = None  # address of a running viewer to send to while measuring
-    frame_sets: int | None = None  # how many are to come, where that is known
+    Attributes:
+        connect: send to a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
+        images: pictures to keep in the viewer's recording: none, all, or those of every N-th set.
+        recording: write run.rrd for the viewer.
+    """
+
+    connect: str | None = None
+    images: str | int = 10
+    recording: bool = True
+
+    def __post_init__(self) -> None:
+        if not (self.images == "none" or self.image_every > 0):
+            raise ConfigError(
+                f"--images {self.images}: expected none, all, or a number N for every N-th set"
+            )
+
+    @property
+    def image_every(self) -> int:
+        """Of how many frame sets the pictures of one are kept; 0 for none."""
+        text = {"all": "1"}.get(str(self.images), str(self.images))
+        return int(text) if text.isdecimal() else 0
 
     @property
     def wanted(self) -> bool:
         """Whether anything of a run is logged."""
-        return self.recording or bool(self.viewer)
+        return self.recording or bool(self.connect)
 
     def check_viewer(self) -> None:
         """Refuse (ConfigError) an address where no viewer listens, before anything is measured."""
-        if self.viewer:
+        if self.connect:
             from measure.viewing.recording import check_listening
 
-            check_listening(self.viewer)
+            check_listening(self.connect)
 
 
 class RunLog:
@@ -56,7 +73,7 @@ class RunLog:
 
     That of an interrupted run is replaced by this one as soon as this one holds as many frame sets
     as are `kept` of it. Nothing is logged unless `options.wanted`. `note` takes lines about the
-    viewer, from any thread.
+    viewer, from any thread. `frame_sets` are to come, where that is known.
     """
 
     def __init__(
@@ -68,17 +85,18 @@ class RunLog:
         options: LogOptions,
         kept: int = 0,
         truths: Mapping[str, Trajectory] | None = None,
-        videos: Mapping[str, PassedVideo] | None = None,
+        videos: Mapping[str, "recording.PassedVideo"] | None = None,
         note: Callable[[str], None] = print,
+        frame_sets: int | None = None,
     ) -> None:
         self._path = out / "run.rrd" if options.recording else None
         self._kept, self._problem = kept, ""
-        self._left = None if videos else options.frame_sets  # which go in whole
+        self._left = None if videos else frame_sets  # which go in whole
         a_set = len(cameras) * sum(len(body.balls) for body in bodies) * BYTES_A_VIEW
         pixels = sum(int(np.prod(camera.intrinsics.size_wh)) for camera in cameras)
         self._bytes_a_set, self._bytes_a_picture = a_set, round(pixels * BYTES_A_PIXEL)
         self._image_every = options.image_every
-        self._log: RunRecording | None = None
+        self._log: recording.RunRecording | None = None
         if not options.wanted:
             return
         from measure.viewing.recording import RunRecording, open_recording
@@ -87,7 +105,7 @@ class RunLog:
         run_id = digest([(out / "run.toml").read_bytes()])
         file = unfinished(self._path) if self._path and kept else self._path
         stream = open_recording(
-            *(name, cameras, file, options.viewer, run_id),
+            *(name, cameras, file, options.connect, run_id),
             bodies=[body.name for body in bodies],
             truth=bool(truths),
             note=note,
@@ -99,7 +117,7 @@ class RunLog:
             options.image_every,
             videos,
             truths,
-            live=options.viewer is not None,
+            live=options.connect is not None,
         )
 
     def __enter__(self) -> Self:

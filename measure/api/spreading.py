@@ -17,22 +17,26 @@ _ATTEMPTS = 3
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does work side by side."""
+    """Who does work side by side.
 
-    # processes on this machine; as many as it has cores if None.
-    count: int | None = None
-    # address of a dask scheduler ("tcp://host:8786"), whose workers see the same paths and have the
-    # plugins installed, and do it instead.
+    Attributes:
+        workers: how many processes measure several sessions side by side, as many as there are
+            cores if omitted; or stretches of a long one, which this process measures if omitted.
+        cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do so instead. They see
+            the same paths, and have the plugins installed.
+    """
+
+    workers: int | None = None
     cluster: str | None = None
 
     def __post_init__(self) -> None:
-        if self.count is not None and self.count < 1:
-            raise ConfigError(f"--workers {self.count}: expected at least 1")
+        if self.workers is not None and self.workers < 1:
+            raise ConfigError(f"--workers {self.workers}: expected at least 1")
 
     def available(self) -> int:
         """How many there are."""
         if not self.cluster:
-            return self.count or usable_cores()
+            return self.workers or usable_cores()
         with connected(self.cluster, "--cluster") as (client, _):
             return len(client.scheduler_info(n_workers=-1)["workers"])
 

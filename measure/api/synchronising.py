@@ -13,7 +13,7 @@ import numpy as np
 
 from measure.api.measuring import calibrated_pipeline, measure_frame_sets
 from measure.api.outputs import output
-from measure.api.profiles import build_detectors
+from measure.api.profiles import DEFAULT_PROFILE, build_detectors, load_profile
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
 from measure.checking.clocks import CameraClock, estimate_clocks
@@ -89,31 +89,35 @@ class SyncedClock(NamedTuple):
 
 
 def sync(
-    session_path: Path,
+    session: Path,
     registry: Registry,
-    profile: Profile,
+    profile: Profile | str = DEFAULT_PROFILE,
     out: Path | None = None,
     overwrite: bool = False,
     seconds: float = 120.0,
     progress: Progress = quiet,
 ) -> Mapping[str, SyncedClock]:
-    """Bring the clocks of cameras together that were started by hand; writes `time_offset_s`.
+    """Synchronise cameras that were started by hand, by the balls' motion.
+
+    Writes what to add to each camera's times as `time_offset_s` into the session file; the first
+    camera's clock is kept. Refused where the motion cannot tell.
 
     Args:
-        profile: whose detector searches, and whose stages measure the motion.
-        out: a session file to write instead of the session's own.
+        session: the session's folder.
+        profile: how to measure the session, by name or TOML file.
+        out: a new session file to write instead of the session's own, in the same folder.
         overwrite: replace offsets, or a file, that are there.
         seconds: how much of each recording is looked at, from its start.
     """
     if not seconds > 0:
         raise ConfigError(f"{seconds:g} seconds: must be more than 0")
     # The session's own file is not replaced, but added to.
-    with output(out or session_file(session_path), overwrite or out is None) as written:
-        file = session_file(session_path)
-        with open_session(file, clocks_apart=True) as session:
+    with output(out or session_file(session), overwrite or out is None) as written:
+        file = session_file(session)
+        with open_session(file, clocks_apart=True) as opened:
             # Offsets that may not be replaced are refused before anything is searched.
-            add_time_offsets(file, dict.fromkeys(session.streams, 0.0), overwrite)
-            clocks = _synced(session, registry, profile, seconds, progress)
+            add_time_offsets(file, dict.fromkeys(opened.streams, 0.0), overwrite)
+            clocks = _synced(opened, registry, load_profile(profile), seconds, progress)
         offsets_s = {name: clock.offset_s for name, clock in clocks.items()}
         written.write_text(add_time_offsets(file, offsets_s, overwrite), "utf-8")
     return clocks

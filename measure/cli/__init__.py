@@ -1,7 +1,14 @@
 """The command line: one file per sub-command. Each parses, calls one function and prints.
 
-`measure/cli/NAME.py` holds a function (or a cyclopts App) called NAME. Its docstring is its help,
-its parameters are the arguments::
+`measure/cli/NAME.py` holds the command NAME. Where one function of `measure.api` does the work, it
+is the command, with its docstring and its parameters, and the file only prints its result::
+
+    @command(api.check, "looking")
+    def check(found: SessionCheck, json: JsonFlag = False) -> int:
+
+To add an option, add a parameter to the function of the api, with its line in the docstring; or a
+field to the record of options that it takes. Any other command is a function (or a cyclopts App).
+Its docstring is its help, its parameters are the arguments::
 
     def evaluate(run: Path, /, *, truth: Path | None = None, json: JsonFlag = False) -> None:
 

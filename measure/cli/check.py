@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from measure import api
@@ -13,41 +11,13 @@ from measure.checking.causes import MEND
 from measure.checking.clocks import CameraClock
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.options import InjectedRegistry
+from measure.cli.options import command
 from measure.results.summary import WHICH_ACCURACY
 
 
-def check(
-    session: Path,
-    /,
-    *,
-    profile: str = "precise",
-    calibration: Path | None = None,
-    body: Path | None = None,
-    samples: int = 24,
-    clock_samples: int = 120,
-    json: JsonFlag = False,
-    registry: InjectedRegistry,
-) -> int:
-    """Find faults of a session before you measure it.
-
-    The exit code is 3 if anything is wrong, 0 otherwise.
-
-    Looks for dropped frames, pictures that come twice or are damaged, uneven stamps, clocks that
-    differ, a shutter that rolls, a body file that does not match, cameras that were moved or are
-    calibrated badly, balls that are seldom seen; and says how accurate the set-up can be.
-
-    Args:
-        session: the session's folder; it is only read.
-        profile: `precise`, or the path of a profile of your own (.toml).
-        calibration: a calibration to use instead of the session's.
-        body: a body file to use instead of the session's.
-        samples: frame sets, spread over the recording, in which everything is searched.
-        clock_samples: frame sets measured to compare the clocks; 0 leaves the clocks out.
-    """
-    how, replaced = api.load_profile(profile), (calibration, body)
-    with console.progress("looking") as report:
-        found = api.check(session, registry, how, *replaced, samples, clock_samples, report)
+@command(api.check, "looking")
+def check(found: SessionCheck, json: JsonFlag = False) -> int:
+    """Print the findings, the likeliest cause first."""
     if json:
         console.print_json(found)
     else:

@@ -15,33 +15,17 @@ from measure.cli.options import InjectedRegistry
 from measure.neighbours import load_command
 
 
-@Parameter(name="*")
-@dataclasses.dataclass(frozen=True)
-class _PageOptions:
-    """The set-up page instead.
-
-    Attributes:
-        studio: try the set-up page with rendered cameras.
-        board: the waved board: `charuco_8x5_27` or `chessboard_9x6_25`.
-        no_board: wave the body itself instead of a board.
-        port: of the set-up page; 0 for any that is free.
-        browser: open the set-up page in a browser.
-    """
-
-    studio: bool = False
-    board: str = "charuco_8x5_27"
-    no_board: Annotated[bool, Parameter(negative="")] = False
-    port: int = 8080
-    browser: Annotated[bool, Parameter(negative="--no-browser")] = True
-
-
 def demo(
     *,
     out: OutFile = Path("triball-demo"),
     overwrite: Overwrite = False,
     profile: str = "precise",
     frames: int = 30,
-    page: _PageOptions = _PageOptions(),
+    studio: bool = False,
+    board: str = "charuco_8x5_27",
+    no_board: bool = False,
+    port: int = 8080,
+    browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -60,11 +44,16 @@ def demo(
         out: folder for the session and the run.
         profile: how to measure: `precise`, `paper`, or the path of a profile of your own (.toml).
         frames: frame sets to render.
+        studio: try the set-up page with rendered cameras.
+        board: the waved board: `charuco_8x5_27` or `chessboard_9x6_25`.
+        no_board: wave the body itself instead of a board.
+        port: of the set-up page; 0 for any that is free.
+        browser: open the set-up page in a browser.
     """
-    if page.studio:
+    if studio:
         serve = load_command("studio")
-        waved = "body" if page.no_board else page.board
-        serve(out, port=page.port, browser=page.browser, rendered=waved, registry=registry)
+        waved = "body" if no_board else board
+        serve(out, port=port, browser=browser, rendered=waved, registry=registry)
         return
     chosen = api.load_profile(profile)
     with console.progress("rendering and measuring", "steps") as report:

@@ -3,52 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
-
-from cyclopts import Parameter
 
 from measure import api
 from measure.api import SeenPicture
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import FIELDS, InjectedRegistry, SettingTexts
+from measure.cli.options import FIELDS, DetectorOptions, InjectedRegistry
 from measure.errors import ConfigError
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _DetectorOptions:
-    """What searches.
-
-    Attributes:
-        profile: `precise`, `paper`, or the path of a profile of your own (.toml).
-        detector: a detector plugin to use instead of the profile's.
-        set_: a setting as detector.NAME=VALUE; may be repeated.
-    """
-
-    profile: str = "precise"
-    detector: str | None = None
-    set_: SettingTexts = ()
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _WriteOptions:
-    """What is written.
-
-    Attributes:
-        out: folder for copies of the pictures with the balls drawn in.
-        sample: BALL=U,V: a pixel on the ball, from which its colour is taken; may be repeated.
-        write_body: a body file to write, with the colours that the balls have in the picture: those
-            of `--sample`, else of `--expect`, inside their outlines.
-    """
-
-    out: OutFile | None = None
-    sample: tuple[str, ...] = ()
-    write_body: Path | None = None
-    overwrite: Overwrite = False
 
 
 def detect(
@@ -56,8 +19,11 @@ def detect(
     body: Path,
     lens: Annotated[api.Lens, FIELDS] = api.Lens(),
     expect: tuple[str, ...] = (),
-    method: _DetectorOptions = _DetectorOptions(),
-    to: _WriteOptions = _WriteOptions(),
+    method: DetectorOptions = DetectorOptions(),
+    out: OutFile | None = None,
+    sample: tuple[str, ...] = (),
+    write_body: Path | None = None,
+    overwrite: Overwrite = False,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -72,20 +38,23 @@ def detect(
         pictures: picture files of one camera.
         body: the body's file: the balls' colours and radii.
         expect: BALL=U,V,R: look for the ball round (U, V) px with radius R px; may be repeated.
+        out: folder for copies of the pictures with the balls drawn in.
+        sample: BALL=U,V: a pixel on the ball, from which its colour is taken; may be repeated.
+        write_body: a body file to write, with the colours that the balls have in the picture: those
+            of `--sample`, else of `--expect`, inside their outlines.
     """
     if not pictures:
         raise ConfigError("no picture is given: measure detect PICTURE... --body BODY.toml")
-    new, asked = to.write_body, [api.parse_expectation(text) for text in expect]
-    clicks = dict(map(api.parse_click, to.sample))
+    new, asked = write_body, [api.parse_expectation(text) for text in expect]
+    clicks = dict(map(api.parse_click, sample))
     if (new and (len(pictures) > 1 or not (clicks or asked))) or (clicks and not new):
         raise ConfigError(
             "--write-body takes one picture and --sample or --expect; --sample needs it"
         )
-    drawn = api.drawings(pictures, to.out, to.overwrite)
-    with api.output(new, to.overwrite) as file, console.progress("looking", "pictures") as report:
-        known, given = api.read_body(body), api.load_profile(method.profile)
-        chosen = api.choose(given, {"detector": method.detector}, method.set_)
-        seen = api.detect(pictures, registry, chosen, known, lens, asked, report)
+    drawn = api.drawings(pictures, out, overwrite)
+    with api.output(new, overwrite) as file, console.progress("looking", "pictures") as report:
+        known = api.read_body(body)
+        seen = api.detect(pictures, registry, method.chosen(), known, lens, asked, report)
         api.draw(seen, drawn)
         if new is not None:
             outlined = [ball for ball, _ in asked if ball not in clicks]
@@ -94,8 +63,8 @@ def detect(
         console.print_json({"pictures": [_values(one) for one in seen]})
         return
     _print(seen)
-    if to.out is not None:
-        console.print_text(f"drawn in {to.out}")
+    if out is not None:
+        console.print_text(f"drawn in {out}")
     if new is not None:
         console.print_text(f"body with the colours of {seen[0].picture.name}: {new}")
 

@@ -2,88 +2,30 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from cyclopts import Parameter
 
-from measure.api import RefineResult
-from measure.api import refine as run
-from measure.api.outputs import check_apart, output
-from measure.calibration import RefineSettings
+from measure import api
 from measure.checking.clocks import CameraClock
 from measure.cli import console
-from measure.cli.console import CalibrationFormat, JsonFlag, OutFile, Overwrite
-from measure.cli.options import InjectedRegistry
-from measure.errors import ConfigError
-from measure.session import write_body, write_calibration
+from measure.cli.console import JsonFlag
+from measure.cli.options import RequiredOut, command
 
 
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _OutputOptions:
-    """The files to write.
-
-    Attributes:
-        out: the calibration to write.
-        file_format: triball, anipose, caliscope or opencv; only "triball" holds covariances and
-            notes.
-        body_output: body file to write, with the balls where the recording puts them.
-    """
-
-    out: OutFile
-    file_format: CalibrationFormat = "triball"
-    body_output: Path | None = None
-    overwrite: Overwrite = False
-
-
+@command(api.refine, "measuring", out=RequiredOut)
 def refine(
-    session: Path,
-    /,
-    *,
-    to: _OutputOptions,
-    profile: str = "precise",
-    calibration: Path | None = None,
-    only: tuple[str, ...] = (),
-    body_tolerance_mm: float | None = None,
-    json: JsonFlag = False,
-    registry: InjectedRegistry,
+    result: api.RefineResult, out: Path, body_output: Path | None, json: JsonFlag = False
 ) -> None:
-    """Refine a calibration from the moving balls themselves.
-
-    A camera that the others contradict while they agree is freed alone, and said; they stay as they
-    are. What would be shared out among all cameras (a zoom of all, another scale, a ball elsewhere,
-    a camera moved midway) is refused.
-
-    Args:
-        session: recording in which the body is carried through the whole workspace.
-        profile: how to measure the session, by name or TOML file.
-        calibration: first calibration, if not the session's own.
-        only: a camera to free, the others held; may be repeated.
-        body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact;
-            what the body file states, or 0.05, if omitted.
-    """
-    given, outs = body_tolerance_mm, [to.out, *([to.body_output] if to.body_output else [])]
-    check_apart(*outs)
-    with output(to.out, to.overwrite) as file, output(to.body_output, to.overwrite) as body:
-        if given is not None and not 0 <= given < math.inf:
-            raise ConfigError(f"--body-tolerance-mm {given:g}: must be 0 or more")
-        with console.progress("measuring") as report:
-            settings = RefineSettings(given)
-            result = run(session, registry, profile, settings, calibration, report, only)
-        write_calibration(file, result.calibration, to.file_format)
-        write_body(body, result.body)
+    """Print changes of the cameras, clocks, and the accuracy before and after."""
     if json:
-        console.print_json({"output": to.out, **result.calibration.provenance})
+        console.print_json({"output": out, **result.calibration.provenance})
         return
     _print(result)
-    console.print_text(f"wrote {' and '.join(map(str, outs))}")
+    console.print_text(f"wrote {' and '.join(map(str, filter(None, (out, body_output))))}")
 
 
-def _print(result: RefineResult) -> None:
-    """Print changes of the cameras, clocks, and the accuracy before and after."""
+def _print(result: api.RefineResult) -> None:
     rig = result.rig
     refinement, verdict = rig.refinement, rig.verdict
     rows = []

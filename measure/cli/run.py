@@ -4,53 +4,34 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-
-from cyclopts import Parameter
+from typing import Annotated
 
 from measure import api
 from measure.api.many import Outcome
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import BodyOptions, InjectedRegistry, ProfileOptions, ViewerOptions
+from measure.cli.console import JsonFlag, OutFile
+from measure.cli.options import FIELDS, InjectedRegistry, ProfileOptions, Recording, Spawn, viewer
 from measure.errors import ConfigError
 from measure.limits import MOST_LISTED
-from measure.measuring.kept_rig import Keep
 from measure.results import Summary
 from measure.results.summary import WHICH_ACCURACY
 
 
-@Parameter(name="*")
+@FIELDS
 @dataclass(frozen=True)
-class _ExecutionOptions:
-    """What happens to earlier runs, and where the work is done.
-
-    Attributes:
-        resume: continue an interrupted run: its rows stay, the rest is measured.
-        workers: how many processes measure several sessions side by side, as many as there are
-            cores if omitted; or stretches of a long one, which this process measures if omitted.
-        cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do so instead.
-        keep_calibration: if omitted, a camera that is moved meanwhile is left out and brought back;
-            `follow` also follows one that drifts; `warn` only names it; `off` measures with it as
-            it is.
-    """
-
-    resume: bool = False
-    overwrite: Overwrite = False
-    workers: int | None = None
-    cluster: str | None = None
-    keep_calibration: Keep | None = None
+class _RunOptions(api.RunOptions):
+    recording: Recording = True
 
 
 def run(
     *sessions: Path,
     out: OutFile,
     method: ProfileOptions = ProfileOptions(),
-    calibration: Path | None = None,
-    bodies: BodyOptions = BodyOptions(),
-    viewer: ViewerOptions = ViewerOptions(),
-    execution: _ExecutionOptions = _ExecutionOptions(),
+    spawn: Spawn = False,
+    options: _RunOptions = _RunOptions(),
+    workers: Annotated[api.Workers, FIELDS] = api.Workers(),
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> int:
@@ -62,34 +43,21 @@ def run(
     Args:
         sessions: the session's folder, or several; they are only read.
         out: the run's folder, made if it is not there; for several sessions, the folder of theirs.
-        calibration: a calibration to use instead of the session's.
     """
     chosen = method.chosen()
-    options = api.RunOptions(
-        image_every=api.parse_images(viewer.images),
-        recording=viewer.recording,
-        viewer=viewer.address(),
-        resume=execution.resume,
-        overwrite=execution.overwrite,
-        calibration=calibration,
-        body=bodies.body or None,
-        reference=bodies.reference,
-        keep_calibration=execution.keep_calibration,
-    )
+    options = replace(options, connect=viewer(options.connect, spawn))
     if not sessions:
         raise ConfigError("no session to measure: give its folder")
-    workers = api.Workers(execution.workers, execution.cluster)
     if len(sessions) > 1:
         with console.progress("measuring", "recordings") as report:
             outcomes = api.run_many(sessions, out, chosen, registry, options, workers, report)
         return _print_outcomes(outcomes, out, json)
     with console.progress("measuring") as report:
+        given = sessions[0], out, chosen, registry, options
         if workers == api.Workers():
-            summary = api.run(sessions[0], out, chosen, registry, options, report, console.note)
+            summary = api.run(*given, report, console.note)
         else:
-            summary = api.run_in_stretches(
-                sessions[0], out, chosen, registry, options, workers, report, console.note
-            )
+            summary = api.run_in_stretches(*given, workers, report, console.note)
     _print_one(summary, sessions[0], out, json)
     return 0
 

@@ -23,6 +23,7 @@ from measure.model import Image
 from measure.session import check_name, open_session, read_body, read_calibration
 from measure_lab import api as lab
 from measure_learning import api as learning_api
+from measure_learning.api import RobotLogs
 from measure_learning.core import AssemblySettings
 from measure_studio import api as studio_api
 from measure_studio.capture import check_names
@@ -203,10 +204,10 @@ WRITES: dict[str, Callable[[Place], Any]] = {
     "Preview": _preview,
     "accept": lambda p: lab.accept(p.run, p.session / "cam1.csv", p.out / "page.html"),
     "begin_marks": lambda p: api.begin_marks(p.out / "marks", p.session, p.calibration),
-    "calibrate_by_body_to": lambda p: api.calibrate_by_body_to(
-        p.out / "b.toml", p.session, None, Registry.discover()
-    ),
-    "calibrate_to": lambda p: api.calibrate_to(p.out / "c.toml", p.capture),
+    "calibrate_to": lambda p: [
+        api.calibrate_to(of, p.out / f"{of.name}.toml", Registry.discover())
+        for of in (p.session, p.capture)
+    ],
     "capture_board": lambda p: studio_api.capture_board(
         _of_videos(p), "charuco_8x5_27", p.out / "wave", studio_api.CaptureOptions(seconds=0.2)
     ),
@@ -219,7 +220,7 @@ WRITES: dict[str, Callable[[Place], Any]] = {
     "find_body": lambda p: api.find_body(p.session, Registry.discover(), api.BodySearch(20.0)),
     "live": _live,
     "make_dataset": lambda p: learning_api.make_dataset(
-        [p.run], [p.session / "cam1.csv"], "raven2", p.out / "d.parquet", AssemblySettings()
+        [p.run], RobotLogs((p.session / "cam1.csv",)), p.out / "d.parquet", AssemblySettings()
     ),
     "mark_event": lambda p: api.mark_event(p.run, p.name),
     "mend": lambda p: _profiled(api.mend, p.session, p.out / "mended"),
@@ -255,16 +256,15 @@ NAMELESS = {
 """What writes, but reads no camera, body or ball of a file."""
 READS = {
     "best_balls", "board_frame", "board_length", "body_names", "build_detectors", "build_pipeline",
-    "calibrate", "calibrate_by_body",
-    "camera_line", "is_session",
+    "calibrate", "calibrate_by_body", "camera_line", "is_session",
     "camera_names", "cameras", "check", "choose", "compare", "contents_of", "described", "detect",
     "clicked_color", "drawings", "evaluate", "evaluation_tables", "events", "find_target",
     "inside", "learnt_colors", "load_profile", "measure_bodies", "measure_session",
     "check_other_file", "other_file", "model_file",
     "next_free", "other_board", "own_board", "paper_body", "read_intrinsics", "recordings_in",
     "trail_of", "parse_cameras",
-    "parse_click", "parse_controls", "parse_expectation", "parse_images", "parse_settings",
-    "parse_size", "play", "play_cameras", "profile_names", "read_board", "read_body",
+    "parse_click", "parse_expectation", "parse_settings",
+    "play", "play_cameras", "profile_names", "read_board", "read_body",
     "read_calibration", "read_trajectory", "register", "relative_measurements", "rests",
     "sampled_color",
     "search_bodies", "shipped_model", "shipped_targets", "target_sheet", "usb_notes", "web_viewer",

@@ -51,7 +51,7 @@ def _last_first(jobs: Sequence[Callable[[], object]], _: Workers) -> Iterator[tu
 
 
 def measured(session: Path, out: Path, workers: Workers, seen: list[int]) -> Run:
-    options, registry = api.RunOptions(image_every=0), Registry.discover()
+    options, registry = api.RunOptions(images="none"), Registry.discover()
     method = api.load_profile(), registry, options, workers
     api.run_in_stretches(session, out, *method, progress=lambda done, _: seen.append(done))
     return read_run(out)

@@ -73,7 +73,7 @@ def test_four_clicks_propose_the_others_and_the_capture_is_calibrated(marking, t
     assert marking.save() == []
     again = api.Marking(marking.folder)
     assert again.marks["cam1"].keys() == marking.marks["cam1"].keys()
-    result, _ = api.calibrate_to(tmp_path / "new.toml", marking.folder)
+    result, _ = api.calibrate_to(marking.folder, tmp_path / "new.toml", api.Registry.discover())
     for found, there in zip(result.calibration.cameras, CAMERAS, strict=True):
         assert np.linalg.norm(found.center - there.center) < 0.3
 

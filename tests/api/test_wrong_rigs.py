@@ -209,7 +209,7 @@ def test_a_body_that_is_its_own_twin_is_named(still: Path, tmp_path: Path) -> No
     registry = Registry.discover()
     twin = api.check(still, registry, body=tmp_path / "twin.toml", samples=4, clock_samples=0)
     assert twins(str(f) for f in twin.findings) == 1
-    options = api.RunOptions(body=tmp_path / "twin.toml", recording=False)
+    options = api.RunOptions(body=[tmp_path / "twin.toml"], recording=False)
     summary = api.run(still, tmp_path / "run", api.load_profile(), registry, options)
     assert summary.ok == summary.frame_sets
     assert twins(map(str, summary.notes)) == 1

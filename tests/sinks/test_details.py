@@ -143,7 +143,7 @@ def test_an_address_that_is_none_says_what_is_expected():
         ("udp://h:p", "expected HOST:PORT, such as 127.0.0.1:5005"),
     ):
         with pytest.raises(ConfigError, match=words):
-            open_sending(SendOptions((given,), note=lambda _: None), registry, run)
+            open_sending(SendOptions((given,), on_note=lambda _: None), registry, run)
     assert build("udp://", run)._place == (HOST, 5005)
     assert build("udp://127.0.0.2", run)._place == ("127.0.0.2", 5005)
 
@@ -161,7 +161,7 @@ def test_a_receiver_that_stops_reading_loses_its_own_poses_only():
     where = address("igtl")
     port, lines, frames = int(where.rpartition(":")[2]), [], 0
     sending = open_sending(
-        SendOptions((where,), note=lines.append), Registry.discover(), run_of("t")
+        SendOptions((where,), on_note=lines.append), Registry.discover(), run_of("t")
     )
     with sending:
         wait_for(lambda: _listens(port))
@@ -208,7 +208,7 @@ def test_a_port_that_is_taken_is_told_and_taken_when_it_is_free(monkeypatch):
     where, lines = address("igtl"), []
     port = int(where.rpartition(":")[2])
     sending = open_sending(
-        SendOptions((where,), note=lines.append), Registry.discover(), run_of("t")
+        SendOptions((where,), on_note=lines.append), Registry.discover(), run_of("t")
     )
     with socket.create_server((HOST, port)), sending:
         wait_for(lambda: any("already in use" in line for line in lines))

@@ -39,7 +39,7 @@ def test_all_that_is_played_is_received(run, registry, scheme):
     lines, where = [], address(scheme)
     with receiving(where) as received:
         begun_s = time.time()
-        end = play(run, registry, PlayOptions(wait_s=2.0, send=(where,), note=lines.append))
+        end = play(run, registry, PlayOptions(wait_s=2.0, send=(where,), on_note=lines.append))
         ended_s = time.time()
     assert [one["lost"] for one in end.sent.values()] == [0], lines
     check_same(received, run, PRECISION.get(scheme, 0.0), scheme not in WITHOUT_LOST)
@@ -57,7 +57,7 @@ def test_a_client_that_comes_back_receives_again(run, registry, scheme):
     """It goes away in the middle, and another one comes."""
     where, lines = address(scheme), []
     over, ends = threading.Event(), []
-    options = PlayOptions(loop=True, send=(where,), note=lines.append)
+    options = PlayOptions(loop=True, send=(where,), on_note=lines.append)
     thread = threading.Thread(target=lambda: ends.append(play(run, registry, options, over)))
     thread.start()
     try:

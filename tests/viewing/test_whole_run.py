@@ -55,7 +55,7 @@ def session(renders: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def measured(session: Path) -> Path:
     out = session.parent / "run"
-    options = api.RunOptions(image_every=1)
+    options = api.RunOptions(images="all")
     api.run(session, out, api.load_profile(), Registry.discover(), options)
     return out
 
@@ -187,7 +187,7 @@ def test_a_viewer_that_runs_already_is_sent_what_is_measured(session: Path, tmp_
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as receiver:
         try:
             options = api.RunOptions(
-                viewer=f"rerun+http://127.0.0.1:{port}/proxy", recording=False, image_every=6
+                connect=f"rerun+http://127.0.0.1:{port}/proxy", recording=False, images=6
             )
             given = session, tmp_path / "run", api.load_profile(), Registry.discover()
             api.run(*given, options, on_note=said.append)

@@ -35,25 +35,29 @@ class Accepted:
 def accept(
     run: Path | str,
     lengths: Path | str,
-    page: Path | None = None,
+    out: Path | None = None,
     body: str | None = None,
     overwrite: bool = False,
 ) -> Accepted:
-    """Compare lengths of a run with known ones.
+    """Test a rig by known lengths: its errors against its stated uncertainty.
+
+    The command's exit code is 3 where lengths contradict what the rig states of itself, 0
+    otherwise.
 
     Args:
-        lengths: a table `from,to,length_mm` and perhaps `sd_mm`, between rests by their numbers,
-            between two balls of the body by their names, or between the origins of two bodies by
-            theirs; one is the run's reference.
-        page: a report to write.
-        body: the name of the body that rests, in a run of several.
+        run: a run in which the body stood still at the ends of known lengths.
+        lengths: table from,to,length_mm between rests by their numbers (`measure rests`) or between
+            two balls by their names or two bodies by theirs (a ball bar), one of them the run's
+            reference; perhaps with sd_mm, how exactly a length is known.
+        out: report to write, one HTML file.
+        body: which body, of a run of several.
 
     Raises:
         RunError: no run, or a row that names no rest and no ball.
     """
-    with output(page, overwrite) as file:
+    with output(out, overwrite) as file:
         opened, accepted = _accepted(Path(run), Path(lengths), body)
-        if page is not None:
+        if out is not None:
             from measure_lab.acceptance_report import acceptance_report
 
             file.write_text(acceptance_report(opened, accepted.judged, accepted.promises), "utf-8")

@@ -140,5 +140,15 @@ def _ball_figures(first: Run, second: Run) -> Iterator[Figure]:
 
 
 def compare(first: Path | str, second: Path | str, body: str | None = None) -> Comparison:
-    """What differs between two runs, or one body of them, and by how many standard deviations."""
+    """Compare two runs: their differences in standard deviations.
+
+    Runs of one session are compared frame set by frame set, those of two by their statistics.
+    `sds` is the difference in standard deviations that follow from its scatter: whether there is
+    one. `stated_sd` is what the runs state of such a difference: whether it matters.
+
+    Args:
+        first: a run's folder.
+        second: another's.
+        body: which body, of runs of several.
+    """
     return compare_runs(read_run(Path(first), body), read_run(Path(second), body))

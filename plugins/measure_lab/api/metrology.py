@@ -12,6 +12,7 @@ import numpy as np
 
 from measure.api import Measurement, board_frame
 from measure.api.folders import named_pictures
+from measure.api.outputs import output
 from measure.arrays import Bytes, Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, UncertainTransform
@@ -21,7 +22,13 @@ from measure.model import Body, Pose
 from measure.results import Run, read_run
 from measure.results.pose_table import poses_of, rests_of, shared_errors
 from measure.results.run import camera_in
-from measure.session import JOINT_COVARIANCE, Calibration, read_calibration
+from measure.session import (
+    JOINT_COVARIANCE,
+    Calibration,
+    read_calibration,
+    write_body,
+    write_calibration,
+)
 from measure_lab.lengths import Pivot, SpinAxis, find_spin_axis, find_tip
 
 _LATEST = 3000  # Poses in which rests are looked for while measuring
@@ -37,7 +44,18 @@ class TipResult:
 
 
 def rests(run: Path | str, shortest_s: float = SHORTEST_S, body: str | None = None) -> Rests:
-    """The stretches of a run in which a body, of several the named one, stands still."""
+    """List where the body stood still, with the displacements between.
+
+    A rest is a stretch in which poses scatter no more than twice as much as where they are
+    quietest. Its pose is their mean; what all poses err by alike (cameras, body file, light) stays
+    in its uncertainty. Between rests that cancels as far as it is alike at both places. Rests are
+    numbered from 0.
+
+    Args:
+        run: the run's folder.
+        shortest_s: shortest rest.
+        body: which body, of a run of several.
+    """
     if not 0 < shortest_s < np.inf:
         raise ConfigError(f"--shortest-s {shortest_s:g}: give the seconds of the shortest rest")
     return rests_of(read_run(Path(run), body), shortest_s)
@@ -70,14 +88,32 @@ class RestsSoFar:
         return find_rests(table, self._shared, shortest_s)
 
 
-def pivot(run: Path | str, spin: Path | str | None = None, body: str | None = None) -> TipResult:
-    """The tip of a tool that was turned about it.
+def pivot(
+    run: Path | str,
+    spin: Path | str | None = None,
+    body: str | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> TipResult:
+    """Find a tool's tip from a run in which the tool pivots about it.
+
+    The tip stands in a small hole and the tool is tilted to all sides, by 40 degrees in all or
+    more; what else the recording holds is in the way. Refused where the motion cannot show the tip.
 
     Args:
-        run: the run's folder: the tool pivots about its tip and does nothing else.
-        spin: another run, of the tool spun about its own axis.
-        body: the tool's name, in a run of several bodies.
+        run: the run's folder.
+        spin: another run, in which the tool is spun about its own axis: the body's z becomes this
+            axis, from the tip towards the balls.
+        body: which body, of a run of several.
+        out: body file to write: the same balls, with the origin at the tip.
     """
+    with output(out, overwrite) as file:
+        found = _tip(run, spin, body)
+        write_body(file, found.body)
+    return found
+
+
+def _tip(run: Path | str, spin: Path | str | None, body: str | None) -> TipResult:
     opened = read_run(Path(run), body)
     with told_of(run):
         found = find_tip(poses_of(opened), shared_errors(opened))
@@ -111,25 +147,56 @@ _LEAST_SINE = 0.05  # Of the angle between the two edges that three touched poin
 
 def world(
     calibration: Path | str,
-    run: Path | str,
+    run: Path | str | None = None,
     at_s: float | None = None,
     rest: int | None = None,
     points: Sequence[int] | None = None,
     body: str | None = None,
+    board: Path | str | None = None,
+    pictures: Path | str | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
 ) -> tuple[Calibration, UncertainTransform]:
-    """A calibration whose world is the body's frame at an instant or a rest of a run.
+    """Set the world's origin by a body, a board or three touches.
+
+    The world becomes the frame of the body at that instant or rest, a frame through three rests of
+    a tip, or that of a board, z up from the paper. Covariances of the cameras are carried along.
 
     Args:
         calibration: that the run was measured with.
-        at_s: time of a pose.
-        rest: number of a rest; the longest, if nothing is given.
-        points: numbers of three rests of a tip instead: at the origin, on the x axis, and on the
-            side of the xy plane where y is positive.
-        body: its name, in a run of several.
+        run: a run with the body where you want the world.
+        at_s: time of the pose, in seconds as in poses.csv.
+        rest: number of a rest (`measure rests`); the longest, if no place is given.
+        points: three rests of a pivoted tip instead: at the origin, on the x axis, and in the xy
+            plane where y is positive.
+        body: which body, of a run of several.
+        board: instead of a run, a target file of a board that lies there, or the name of one that
+            comes with the program.
+        pictures: folder with a picture of the board by each camera, named like the camera.
+        out: the calibration to write.
 
     Returns:
         The calibration, and the new world's pose in the old one.
     """
+    with output(out, overwrite) as file:
+        if run is not None and board is None and pictures is None:
+            found, place = _world_by_run(calibration, run, at_s, rest, points, body)
+        elif run is None and board is not None and pictures is not None:
+            found, place = world_by_board(calibration, board, pictures)
+        else:
+            raise ConfigError("say where it is: --run RUN, or --board FILE --pictures FOLDER")
+        write_calibration(file, found)
+    return found, place
+
+
+def _world_by_run(
+    calibration: Path | str,
+    run: Path | str,
+    at_s: float | None,
+    rest: int | None,
+    points: Sequence[int] | None,
+    body: str | None,
+) -> tuple[Calibration, UncertainTransform]:
     if sum(given is not None for given in (at_s, rest, points)) > 1:
         raise ConfigError("--at, --rest and --points name different places: give one of them")
     opened, given = read_run(Path(run), body), read_calibration(calibration)

@@ -21,37 +21,43 @@ _log = logging.getLogger(__name__)
 
 
 def report(
-    run_path: Path,
+    run: Path,
     out: Path | None = None,
     truth: Path | None = None,
     body: str | None = None,
     overwrite: bool = False,
     frame: Path | None = None,
 ) -> Path:
-    """Write the report of a run as one self-contained HTML file; gives the file.
+    """Write a run's report as one HTML file.
+
+    Everything is inside the file: it can be mailed, and opens without a network.
 
     Args:
-        out: the file; `report.html` in the run's folder if omitted.
-        truth: poses over time; those of the run's session if omitted and there are any.
+        run: the run's folder.
+        out: the file to write; report.html in the run's folder if omitted.
+        truth: a trajectory to compare with; the session's own if omitted.
         body: which body, of a run of several; all if omitted.
-        frame: by `register`: poses and errors are shown in the axes of the robot's base.
+        frame: written by `measure register`: show poses in the axes of the robot's base.
+
+    Returns:
+        The file.
     """
     from measure_lab.run_report import run_report
 
-    path = out or run_path / "report.html"
+    path = out or run / "report.html"
     with output(path, overwrite) as page:
-        runs = chosen_runs(run_path, body)
+        runs = chosen_runs(run, body)
         errors = list[Floats | None]()
-        for run in runs:
-            file = (truth or truth_of(run)) if run.poses.num_rows else None
+        for one in runs:
+            file = (truth or truth_of(one)) if one.poses.num_rows else None
             errors.append(None)
             if file is not None:
-                true = read_trajectory(file, RunError, own_name(run), run.span_s)
-                errors[-1] = pose_errors(run, true)
+                true = read_trajectory(file, RunError, own_name(one), one.span_s)
+                errors[-1] = pose_errors(one, true)
         picture, axes = _picture(runs), "the cameras' world"
         if frame is not None:
             base_from_world, axes = read_robot_base(frame).inverse(), "the robot's base"
-            runs = [run.in_frame(base_from_world) for run in runs]
+            runs = [one.in_frame(base_from_world) for one in runs]
             errors = [
                 off if off is None else base_from_world.rotate(off.reshape(-1, 2, 3)).reshape(-1, 6)
                 for off in errors

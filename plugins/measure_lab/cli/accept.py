@@ -5,33 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile, Overwrite
+from measure.cli.console import JsonFlag
+from measure.cli.options import command
 from measure_lab import api
 
 
-def accept(
-    run: Path,
-    /,
-    *,
-    lengths: Path,
-    out: OutFile | None = None,
-    overwrite: Overwrite = False,
-    body: str | None = None,
-    json: JsonFlag = False,
-) -> int:
-    """Test a rig by known lengths: its errors against its stated uncertainty.
-
-    The exit code is 3 where lengths contradict what the rig states of itself, 0 otherwise.
-
-    Args:
-        run: a run in which the body stood still at the ends of known lengths.
-        lengths: table from,to,length_mm between rests by their numbers (`measure rests`) or between
-            two balls by their names or two bodies by theirs (a ball bar); perhaps with sd_mm, how
-            exactly a length is known.
-        out: report to write, one HTML file.
-        body: which body, of a run of several.
-    """
-    found = api.accept(run, lengths, out, body, overwrite)
+@command(api.accept)
+def accept(found: api.Accepted, run: Path, out: Path | None, json: JsonFlag = False) -> int:
+    """Print the errors of the lengths, and which promises were held."""
     judged = found.judged
     rows = [
         (name, float(known), f"{error:+.3f}", f"{U:.3f}", f"{ratio:+.2f}")

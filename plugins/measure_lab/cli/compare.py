@@ -8,25 +8,14 @@ import numpy as np
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
+from measure.cli.options import command
 from measure.limits import MOST_LISTED
 from measure_lab import api
 
 
-def compare(
-    first: Path, second: Path, /, *, body: str | None = None, json: JsonFlag = False
-) -> None:
-    """Compare two runs: their differences in standard deviations.
-
-    Runs of one session are compared frame set by frame set, those of two by their statistics.
-    `sds` is the difference in standard deviations that follow from its scatter: whether there is
-    one. `stated_sd` is what the runs state of such a difference: whether it matters.
-
-    Args:
-        first: a run's folder.
-        second: another's.
-        body: which body, of runs of several.
-    """
-    found = api.compare(first, second, body)
+@command(api.compare, arguments=2)
+def compare(found: api.Comparison, first: Path, second: Path, json: JsonFlag = False) -> None:
+    """Print what differs, and by how much."""
     if json:
         figures = [{**vars(figure), "sds": figure.sds} for figure in found.figures]
         facts = {**vars(found), "figures": figures}

@@ -5,39 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from measure import api
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.session import write_body
-from measure_lab import api as lab
-from measure_lab.api import TipResult
+from measure.cli.console import JsonFlag
+from measure.cli.options import command
+from measure_lab import api
 
 
-def pivot(
-    run: Path,
-    /,
-    *,
-    out: OutFile | None = None,
-    overwrite: Overwrite = False,
-    spin: Path | None = None,
-    body: str | None = None,
-    json: JsonFlag = False,
-) -> None:
-    """Find a tool's tip from a run in which the tool pivots about it.
-
-    The tip stands in a small hole and the tool is tilted to all sides, by 40 degrees in all or
-    more; what else the recording holds is in the way. Refused where the motion cannot show the tip.
-
-    Args:
-        run: the run's folder.
-        out: body file to write: the same balls, with the origin at the tip.
-        spin: another run, in which the tool is spun about its own axis: the body's z becomes this
-            axis, from the tip towards the balls.
-        body: which body, of a run of several.
-    """
-    with api.output(out, overwrite) as file:
-        found = lab.pivot(run, spin, body)
-        write_body(file, found.body)
+@command(api.pivot)
+def pivot(found: api.TipResult, run: Path, out: Path | None, json: JsonFlag = False) -> None:
+    """Print the tip, and how it was found."""
     if json:
         console.print_json({"run": str(run), **_values(found), "output": out})
         return
@@ -46,7 +22,7 @@ def pivot(
         console.print_text(f"wrote {out}: measure with it, and positions are the tip's")
 
 
-def _print(found: TipResult) -> None:
+def _print(found: api.TipResult) -> None:
     tip, axis = found.pivot, found.axis
     place = ", ".join(f"{value:.3f}" for value in tip.tip_mm)
     console.print_text(f"tip at ({place}) mm in the body, sd {tip.tip_sd_mm:.3f} mm (3-D)")
@@ -63,7 +39,7 @@ def _print(found: TipResult) -> None:
         )
 
 
-def _values(found: TipResult) -> dict[str, Any]:
+def _values(found: api.TipResult) -> dict[str, Any]:
     values = {"tip_sd_mm": found.pivot.tip_sd_mm, **vars(found.pivot)}
     if found.axis is not None:
         values |= {f"axis_{key}": value for key, value in vars(found.axis).items()}

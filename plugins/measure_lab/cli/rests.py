@@ -10,33 +10,18 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
+from measure.cli.options import command
 from measure.metrology.rests import Rest, Rests
 from measure_lab import api
 
+_From = Annotated[
+    int, Parameter(help="print the displacements from this rest; --json has those between any two.")
+]
 
-def rests(
-    run: Path,
-    /,
-    *,
-    shortest_s: float = 0.5,
-    from_: Annotated[int, Parameter(name="--from")] = 0,
-    body: str | None = None,
-    json: JsonFlag = False,
-) -> None:
-    """List where the body stood still, with the displacements between.
 
-    A rest is a stretch in which poses scatter no more than twice as much as where they are
-    quietest. Its pose is their mean; what all poses err by alike (cameras, body file, light) stays
-    in its uncertainty. Between rests that cancels as far as it is alike at both places. Rests are
-    numbered from 0.
-
-    Args:
-        run: the run's folder.
-        shortest_s: shortest rest.
-        from_: print the displacements from this rest; --json has those between any two.
-        body: which body, of a run of several.
-    """
-    found = api.rests(run, shortest_s, body)
+@command(api.rests)
+def rests(found: Rests, run: Path, from_: _From = 0, json: JsonFlag = False) -> None:
+    """Print the rests, and the displacements from one of them."""
     if json:
         console.print_json({"run": str(run), **_values(found)})
         return

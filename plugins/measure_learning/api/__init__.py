@@ -14,6 +14,7 @@ from measure_learning.api.correcting import (
 )
 from measure_learning.api.pairing import (
     RenderOptions,
+    RobotLogs,
     RunFacts,
     SimulationOptions,
     check_other_file,
@@ -33,9 +34,9 @@ from measure_learning.api.training import (
 )
 
 __all__ = [
-    "POSES", "RenderOptions", "RunFacts", "SimulationOptions", "SweepOptions", "TrainOptions",
-    "ablate", "check_other_file", "choose_poses", "correct_simulated_robot", "estimate_file",
-    "estimate_online", "make_dataset", "model_file", "other_file", "parse_settings", "recalibrate",
-    "register", "rezero", "robot_recording", "shipped_model",
+    "POSES", "RenderOptions", "RobotLogs", "RunFacts", "SimulationOptions", "SweepOptions",
+    "TrainOptions", "ablate", "check_other_file", "choose_poses", "correct_simulated_robot",
+    "estimate_file", "estimate_online", "make_dataset", "model_file", "other_file",
+    "parse_settings", "recalibrate", "register", "rezero", "robot_recording", "shipped_model",
     "simulate_dataset", "simulate_recording", "sweep", "train",
 ]  # fmt: skip

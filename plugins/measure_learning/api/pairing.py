@@ -9,9 +9,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from measure.api.outputs import new_folder
 from measure.errors import ConfigError, EstimatorError
 from measure.host import Dataset, Report
-from measure.processes import Progress
+from measure.processes import Progress, quiet
 from measure.robots import StateSchema
 from measure_learning.api.training import check_seeds
 from measure_learning.robots import LogFile, find_schema
@@ -26,6 +27,23 @@ if TYPE_CHECKING:
     from measure_learning.robots import StateLog
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RobotLogs:
+    """The robot and its log.
+
+    Attributes:
+        robot_log: the robot's log: Parquet, text or a bag; one for all runs, or one each; none for
+            tables that hold labels or stops.
+        robot: a known one (raven, raven-right, dvrk-psm, ur5e, ur10e, franka, xarm6, kuka-iiwa), a
+            robot.toml, a .urdf or the calibration.yaml of a UR.
+        topic: of the robot's states in a bag.
+    """
+
+    robot_log: tuple[Path, ...] = ()
+    robot: str = "raven"
+    topic: str | None = None
 
 
 @dataclass(frozen=True)
@@ -45,33 +63,27 @@ class RunFacts:
 
 def make_dataset(
     runs: Sequence[Path],
-    logs: Sequence[Path],
-    robot: str,
+    source: RobotLogs,
     out: Path,
     settings: AssemblySettings,
-    *,
-    topic: str | None = None,
     known: RunFacts | None = None,
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     """Pair runs with robot logs, or take tables that already hold labels, and write a data set.
 
     Args:
         runs: run folders, files of poses, or (without logs) tables of states and errors.
-        logs: robot logs, one for each run or one for all; none for labelled tables.
-        robot: name of a state schema, or a robot.toml.
         out: the Parquet file; its data card goes beside it.
-        topic: of the state messages, if a log is a bag.
     """
     from measure_learning.core import assemble, files
 
     _check_name(out)
-    schema = find_schema(robot)
+    logs, schema = source.robot_log, find_schema(source.robot)
     known = known or RunFacts()
     facts: list[TrajectoryFacts] = []
     if logs:
         tracks = read_tracks(runs, known.frame, schema.robot)
         tracks = _of_restarts(tracks, known.restart_name)
-        each = open_logs(runs, logs, schema, topic)
+        each = open_logs(runs, logs, schema, source.topic)
         data, facts = assemble(list(zip(tracks, each, strict=True)), settings)
     elif known.restart_name:
         raise ConfigError("--restart-name is of runs: tables of labels have a column `restart`")
@@ -236,38 +248,39 @@ class RenderOptions:
     wear: float = 1.0
 
 
-def simulate_recording(folder: Path, options: RenderOptions, progress: Progress) -> None:
-    """Render the simulated RAVEN-II with its balls into a session folder, with its log."""
+def simulate_recording(
+    out: Path,
+    options: RenderOptions = RenderOptions(),
+    overwrite: bool = False,
+    progress: Progress = quiet,
+) -> None:
+    """Render a recording of the simulated RAVEN-II, with its log and its truth.
+
+    Args:
+        out: the session's folder. The robot's log is `robot.parquet` in it.
+    """
     from measure_learning.core.rendering import render_recording
 
-    seconds, frame_hz, offset_s = options.seconds, options.frame_hz, options.clock_offset_s
-    if not (0 < seconds < math.inf and 0 < frame_hz < math.inf and seconds * frame_hz >= 1):
-        raise ConfigError(
-            f"--seconds {seconds:g} --frame-hz {frame_hz:g}: expected two positive numbers that "
-            "make at least one frame set"
-        )
-    if not math.isfinite(offset_s):
-        raise ConfigError(f"--clock-offset-s {offset_s:g}: expected a number")
-    check_seeds(seed=options.seed)
-    render_recording(folder, progress=progress, **asdict(options))
+    with new_folder(out, overwrite, "session.toml"):
+        seconds, frame_hz, offset_s = options.seconds, options.frame_hz, options.clock_offset_s
+        if not (0 < seconds < math.inf and 0 < frame_hz < math.inf and seconds * frame_hz >= 1):
+            raise ConfigError(
+                f"--seconds {seconds:g} --frame-hz {frame_hz:g}: expected two positive numbers "
+                "that make at least one frame set"
+            )
+        if not math.isfinite(offset_s):
+            raise ConfigError(f"--clock-offset-s {offset_s:g}: expected a number")
+        check_seeds(seed=options.seed)
+        render_recording(out, progress=progress, **asdict(options))
 
 
 def register(
-    runs: Sequence[Path],
-    logs: Sequence[Path],
-    robot: str,
-    options: RegisterOptions,
-    *,
-    topic: str | None = None,
-    stops: Sequence[Path] = (),
+    runs: Sequence[Path], source: RobotLogs, options: RegisterOptions, stops: Sequence[Path] = ()
 ) -> RobotFrame:
     """Where a robot's base, the body on its tool and its clock are, from runs and logs, or stops.
 
     Args:
         runs: run folders, or tables of poses; the cameras and the body stayed where they were.
-        logs: robot logs, one for each run or one for all.
-        robot: name of a state schema, or a robot.toml.
-        topic: of the state messages, if a log is a bag.
         stops: instead of runs and logs, tables with pose and joints of a stop in each row.
     """
     from measure.results import read_run
@@ -276,7 +289,7 @@ def register(
     from measure_learning.core.registration import LoggedTrack, register, register_stops
     from measure_learning.robots import find_schema
 
-    schema = find_schema(robot)
+    logs, schema = source.robot_log, find_schema(source.robot)
     if stops:
         if runs or logs:
             raise ConfigError("--stops holds poses and joints: leave out runs and --robot-log")
@@ -288,7 +301,7 @@ def register(
     if len({track.name for track in tracks}) < len(tracks):
         raise EstimatorError("two recordings have the same name: rename one")
     shared = [shared_errors(read_run(run)) if run.is_dir() else None for run in runs]
-    opened = _logs_or_tool_poses(tracks, logs, schema, topic, options)
+    opened = _logs_or_tool_poses(tracks, logs, schema, source.topic, options)
     return register(list(map(LoggedTrack, tracks, opened, shared)), options)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from measure import api
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite, shares
-from measure.cli.options import FIELDS, RobotOptions
+from measure.cli.options import FIELDS
 from measure.errors import ConfigError
 from measure.host import Dataset
 from measure_learning import api as learning_api
@@ -23,7 +23,7 @@ def dataset(
     out: OutFile,
     overwrite: Overwrite = False,
     known: Annotated[learning_api.RunFacts, FIELDS] = learning_api.RunFacts(),
-    source: RobotOptions = RobotOptions(),
+    source: Annotated[learning_api.RobotLogs, FIELDS] = learning_api.RobotLogs(),
     assembly: Annotated[AssemblySettings, FIELDS] = AssemblySettings(),
     simulation: Annotated[
         learning_api.SimulationOptions, FIELDS
@@ -41,16 +41,13 @@ def dataset(
     """
     if bool(runs) == (simulation.simulate_min is not None):
         raise ConfigError("give runs, or --simulate-min MINUTES, but not both")
-    logs, robot, topic = source.robot_log, source.robot, source.topic
-    read = (*runs, *logs, Path(robot), *([known.frame] if known.frame else []))
+    read = (*runs, *source.robot_log, Path(source.robot), *filter(None, [known.frame]))
     with api.output(out, overwrite, read, [".card.json"]) as file:
         if not runs:
             with console.progress("simulating", unit="per mille") as report:
                 data, facts = learning_api.simulate_dataset(file, simulation, shares(report))
         else:
-            data, facts = learning_api.make_dataset(
-                runs, logs, robot, file, assembly, topic=topic, known=known
-            )
+            data, facts = learning_api.make_dataset(runs, source, file, assembly, known)
     labels = LabelFacts.of(data)
     if json:
         values = {"data": str(out), "rows": len(data), "labels": labels, "recordings": facts}

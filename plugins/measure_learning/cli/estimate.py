@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,50 +18,20 @@ from measure_learning.core import Zeroing
 _CROWDED = "too many senders"  # The counter of senders that were refused for want of room
 
 
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _ServerOptions:
-    """Where states come from that are not recorded.
-
-    Attributes:
-        host: address to listen on; other machines can reach it only if it is not the loopback.
-        port: to listen on; 0 takes a free one.
-        seconds: stop after this long.
-        realtime: before other processes, with memory that is not swapped (Linux, needs rights).
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 47118
-    seconds: float | None = None
-    realtime: bool = False
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _MeasuredOptions:
-    """What was measured beside the states.
-
-    Attributes:
-        true_positions: a table of tip positions measured now and then (time_s on the states' clock,
-            x_mm, y_mm, z_mm): the offsets of the joints follow them. Live, they come by UDP.
-        frame: the frame.toml that the labels were measured by: the written SDs then include the
-            uncertainty of base and tool.
-    """
-
-    true_positions: Path | None = None
-    frame: Path | None = None
-
-
 def estimate(
     model: Path,
     /,
     *,
-    input_: Annotated[Path | None, Parameter(name="--input")] = None,
+    input_: Path | None = None,
     out: Annotated[OutFile | None, Parameter(name=("--out", "-o", "--output"))] = None,
     overwrite: Overwrite = False,
     rezero: Path | None = None,
-    measured: _MeasuredOptions = _MeasuredOptions(),
-    server: _ServerOptions = _ServerOptions(),
+    true_positions: Path | None = None,
+    frame: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 47118,
+    seconds: float | None = None,
+    realtime: bool = False,
     json: JsonFlag = False,
 ) -> None:
     """Correct a robot's positions, live or from a file.
@@ -77,25 +46,34 @@ def estimate(
             .csv).
         rezero: a short measured data set of today: finds how the joints were homed, and says
             whether the cables have changed.
+        true_positions: a table of tip positions measured now and then (time_s on the states' clock,
+            x_mm, y_mm, z_mm): the offsets of the joints follow them. Live, they come by UDP.
+        frame: the frame.toml that the labels were measured by: the written SDs then include the
+            uncertainty of base and tool.
+        host: address to listen on; other machines can reach it only if it is not the loopback.
+        port: to listen on; 0 takes a free one.
+        seconds: stop after this long.
+        realtime: before other processes, with memory that is not swapped (Linux, needs rights).
     """
     if input_ is None and out is not None:
         raise ConfigError("--out needs --input: live estimates go back by UDP")
     if input_ is not None and out is None:
         raise ConfigError("--input needs --out, the file for the errors")
-    if input_ is None and measured.true_positions is not None:
+    if input_ is None and true_positions is not None:
         raise ConfigError("--true-positions needs --input: live ones come by UDP")
-    if input_ is None and measured.frame is not None:
+    if input_ is None and frame is not None:
         raise ConfigError("--frame needs --input: what is stated live is of the labels' frame")
     path = learning_api.model_file(model)
-    read = [one for one in (input_, path, rezero, *vars(measured).values()) if one]
+    read = [one for one in (input_, path, rezero, true_positions, frame) if one]
     with api.output(out, overwrite, read) as file:
         zeroing = None if rezero is None else _zeroing(path, rezero)
         if input_ is None:
-            _serve(path, server, zeroing, json)
+            _serve(path, (host, port), seconds, realtime, zeroing, json)
             return
         counts = learning_api.estimate_file(
-            path, input_, file, zeroing, **vars(measured), on_drift=console.note
-        )
+            path, input_, file, zeroing, true_positions=true_positions, frame=frame,
+            on_drift=console.note,
+        )  # fmt: skip
     _conclude(counts, json, f"written to {out}")
     if 2 * counts["unfamiliar"] > counts["corrected"]:
         console.note("most states are unlike the training: is this the robot that it learnt from?")
@@ -112,7 +90,14 @@ def _zeroing(model: Path, stretch: Path) -> Zeroing:
     return zeroing
 
 
-def _serve(model: Path, given: _ServerOptions, zeroing: Zeroing | None, json: bool) -> None:
+def _serve(
+    model: Path,
+    address: tuple[str, int],
+    seconds: float | None,
+    realtime: bool,
+    zeroing: Zeroing | None,
+    json: bool,
+) -> None:
     warned = False
 
     def line(server: Any) -> None:
@@ -127,10 +112,10 @@ def _serve(model: Path, given: _ServerOptions, zeroing: Zeroing | None, json: bo
 
     served = learning_api.estimate_online(
         model,
-        (given.host, given.port),
+        address,
         zeroing=zeroing,
-        seconds=given.seconds,
-        realtime=given.realtime,
+        seconds=seconds,
+        realtime=realtime,
         on_start=lambda server: console.note("listening on udp://{}:{}".format(*server.address)),
         on_state=line,
         on_refusal=console.note,

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from cyclopts import Parameter
 
 from measure import api
 from measure.api.outputs import check_apart
 from measure.arrays import Floats
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import FIELDS, RobotOptions
+from measure.cli.options import FIELDS
 from measure.geometry import RigidTransform
 from measure_learning import api as learning_api
 from measure_learning.core.frames import RobotFrame, write_frame
@@ -28,8 +27,8 @@ def register(
     *,
     out: OutFile,
     overwrite: Overwrite = False,
-    stops: Annotated[tuple[Path, ...], Parameter(name="--stops")] = (),
-    source: RobotOptions = RobotOptions(),
+    stops: tuple[Path, ...] = (),
+    source: Annotated[learning_api.RobotLogs, FIELDS] = learning_api.RobotLogs(),
     options: Annotated[RegisterOptions, FIELDS] = RegisterOptions(),
     also: tuple[Path, ...] = (),
     json: JsonFlag = False,
@@ -54,11 +53,10 @@ def register(
         learning_api.check_other_file(path, links=options.kinematics)
     with ExitStack() as opened:
         file, *others = [opened.enter_context(api.output(path, overwrite)) for path in (out, *also)]
-        logs, robot, topic = source.robot_log, source.robot, source.topic
-        found = learning_api.register(runs, logs, robot, options, topic=topic, stops=stops)
+        found = learning_api.register(runs, source, options, stops)
         write_frame(file, found)
         for path in others:
-            path.write_text(learning_api.other_file(path, found, robot), encoding="utf-8")
+            path.write_text(learning_api.other_file(path, found, source.robot), encoding="utf-8")
     if json:
         ros = {"static_transforms": found.static_transforms()}
         console.print_json({"output": out, **found.values(), **ros})

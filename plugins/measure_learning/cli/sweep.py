@@ -7,7 +7,7 @@ from typing import Annotated
 
 from measure.cli import console
 from measure.cli.console import JsonFlag, shares
-from measure.cli.options import FIELDS, SettingTexts
+from measure.cli.options import FIELDS
 from measure_learning import api
 
 
@@ -17,7 +17,7 @@ def sweep(
     /,
     *,
     journal: Path,
-    set_: SettingTexts = (),
+    set_: tuple[str, ...] = (),
     options: Annotated[api.SweepOptions, FIELDS] = api.SweepOptions(),
     json: JsonFlag = False,
 ) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, shares
-from measure.cli.options import FIELDS, InjectedRegistry, SettingTexts
+from measure.cli.options import FIELDS, InjectedRegistry
 from measure_learning import api
 
 
@@ -19,7 +19,7 @@ def train(
     /,
     *,
     out: OutFile,
-    set_: SettingTexts = (),
+    set_: tuple[str, ...] = (),
     options: Annotated[api.TrainOptions, FIELDS] = api.TrainOptions(),
     about: str = "",
     json: JsonFlag = False,

@@ -21,8 +21,6 @@ from measure_studio.api.recording import (
     CaptureRequest,
     RecordedSession,
     camera_names,
-    parse_controls,
-    parse_size,
     record,
     usb_notes,
 )
@@ -60,6 +58,6 @@ __all__ = [
     "RecordedSession", "Recording", "WatchedCamera", "best_balls", "camera_line",
     "camera_names", "cameras", "capture_board", "capture_body", "contents_of",
     "delete_recording", "demo_cameras", "described", "live", "name_body", "next_free",
-    "own_board", "parse_cameras", "parse_controls", "parse_size", "play", "play_cameras",
+    "own_board", "parse_cameras", "play", "play_cameras",
     "record", "recordings_in", "trail_of", "usb_notes", "web_viewer", "write_board",
 ]  # fmt: skip

@@ -18,7 +18,14 @@ _LISTEN_S = 2.0
 
 
 def cameras(addresses: Sequence[str] = ()) -> list[FoundCamera]:
-    """The cameras of this machine, or those at addresses; who does not answer has a `problem`."""
+    """List cameras, their modes and controls, and whether they stream.
+
+    Without an address it lists the cameras of this machine. Needs the extra `cameras`.
+
+    Args:
+        addresses: cameras to test instead, as `measure record` takes them: size, rate and clock of
+            each in two seconds, or why there is no picture.
+    """
     if not addresses:
         return find_devices()
     given = [CameraAddress(shown(address), address) for address in addresses]

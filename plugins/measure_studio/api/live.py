@@ -1,6 +1,6 @@
 """Measuring live, from running cameras."""
 
-from __future__ import annotations
+# Annotations are no texts here: cyclopts reads them of records that inherit these in other modules.
 
 import math
 import time
@@ -40,15 +40,22 @@ LEARNING = "learning how the balls look from the first pictures"
 
 @dataclass(frozen=True)
 class LiveOptions(recording.CaptureOptions, LogOptions, SendOptions):
-    """How cameras are measured live."""
+    """How cameras are measured live.
 
-    record: Path | None = None  # a session folder to record the pictures into as well
-    reference: str = ""  # name of the body that others are measured relative to; empty without one
-    marks: tuple[str, ...] = ()  # where event marks come from, see `marks_received`
-    # what is done about cameras that are moved meanwhile; None: those that were knocked are brought
-    # back, where they can be, and those that drift are named.
+    Attributes:
+        record: a session folder to record the pictures into as well.
+        reference: name of the body that the others are measured relative to.
+        marks: where event marks come from, udp://:PORT or lsl:NAME; may be repeated.
+        keep_calibration: if omitted, a camera that is moved meanwhile is left out and brought back;
+            `follow` also follows one that drifts; `warn` only names it; `off` measures with it as
+            it is.
+        on_step: called with what is done next, before the first pose.
+    """
+
+    record: Path | None = None
+    reference: str = ""
+    marks: tuple[str, ...] = ()
     keep_calibration: Keep | None = None
-    # called with what is done next, before the first pose.
     on_step: Callable[[str], None] = lambda _: None
 
 
@@ -121,7 +128,7 @@ def live(
         writer = stack.enter_context(_writer(out, prepared, options))
         writer.begin()
         log = stack.enter_context(
-            RunLog(sent.name, sent.bodies, sent.cameras, out, options, note=options.note)
+            RunLog(sent.name, sent.bodies, sent.cameras, out, options, note=options.on_note)
         )
 
         def on_mark(time_s: float, what: str) -> None:
@@ -149,7 +156,7 @@ def live(
     return LiveEnd(summary, state, tuple(opened.controls.changed.values()), sending.counts)
 
 
-def _writer(out: Path, prepared: _Prepared, options: LiveOptions) -> RunWriter:
+def _writer(out: Path, prepared: "_Prepared", options: LiveOptions) -> RunWriter:
     sent, overwrite = prepared.sent, options.overwrite
     return RunWriter(
         out,
@@ -171,7 +178,7 @@ def _measured(
 
 
 def _recorders(
-    stack: ExitStack, opened: recording.OpenRig, prepared: _Prepared, folder: Path | None
+    stack: ExitStack, opened: recording.OpenRig, prepared: "_Prepared", folder: Path | None
 ) -> Iterator[Callable[[Image], None]]:
     """What takes pictures to be recorded, if they are."""
     if folder is not None:

@@ -47,9 +47,13 @@ class Pace:
 
 @dataclass(frozen=True)
 class PlayOptions(Pace, SendOptions):
-    """How a run is played, and where to."""
+    """How a run is played, and where to.
 
-    viewer: str | None = None  # address of a running viewer
+    Attributes:
+        connect: send to a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
+    """
+
+    connect: str | None = None
 
 
 @dataclass(frozen=True)
@@ -70,12 +74,12 @@ def play(
         MeasureError: the folder is no run, an address or setting is none, or there is no viewer.
     """
     options.check_pace()
-    if not (options.send or options.viewer):
+    if not (options.send or options.connect):
         raise ConfigError(
             "where is it to be played to? give --send ADDRESS, --spawn or --connect; --as-cameras "
             "serves the cameras of a session"
         )
-    LogOptions(viewer=options.viewer).check_viewer()
+    LogOptions(options.connect).check_viewer()
     reel = Reel(read_runs(folder))
     sending = open_sending(options, registry, reel.run)
     with ExitStack() as stack:
@@ -108,14 +112,14 @@ def _turns(times_s: Floats, pace: Pace) -> Iterator[tuple[int, float]]:
 
 def _viewer(stack: ExitStack, reel: Reel, options: PlayOptions) -> Callable[[int], None]:
     """What shows a frame set in a viewer; nothing without one."""
-    if options.viewer is None:
+    if options.connect is None:
         return lambda _: None
     from measure.viewing.recording import RunRecording, open_recording
 
     run = reel.run
     names = [body.name for body in run.bodies]
     stream = open_recording(
-        run.name, run.cameras, address=options.viewer, bodies=names, note=options.note
+        run.name, run.cameras, address=options.connect, bodies=names, note=options.on_note
     )
     log = stack.enter_context(RunRecording(stream, run.bodies, run.cameras, 0, live=True))
     return lambda number: log.add(reel.measurements(number))

@@ -262,7 +262,7 @@ class WatchedCamera:
         while not self._stop.is_set():
             try:
                 controls = asked.controls_of(name) if self._camera.is_device else {}
-                source = self._camera.source(asked.size_wh, asked.rate_hz, controls)
+                source = self._camera.source(asked.size_wh, asked.rate, controls)
                 with Cameras({name: source}) as rig:
                     rig.begin([self._sink])
                     while not (rig.over or self._stop.wait(POLL_S)):

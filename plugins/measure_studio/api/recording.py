@@ -1,13 +1,14 @@
 """Recording cameras into a session."""
 
-from __future__ import annotations
+# Annotations are no texts here: cyclopts reads them of records that inherit these in other modules.
 
 import math
+import re
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from measure.api.outputs import check_folder, new_folder
@@ -20,19 +21,53 @@ from measure_studio.capture.devices import ControlRecord, watched
 from measure_studio.capture.sources import POLL_S, Source
 
 SESSION = "session.toml"  # By which a recording's folder is known
+_SIZE = re.compile("0*[1-9][0-9]*x0*[1-9][0-9]*")
 
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """What is requested of cameras of this machine."""
+    """What is requested of cameras of this machine.
 
-    # of the pictures; that of the calibration if None and there is one.
-    size_wh: tuple[int, int] | None = None
-    rate_hz: float | None = None  # pictures a second; the camera's own if None
-    # by camera ("" for all) and control (exposure, focus, white_balance, gain, power_line, or the
-    # driver's name) a number, a menu's text or `auto`.
-    controls: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    lock: bool = False  # whether what automatic control has found is kept from the start on
+    Attributes:
+        size: WIDTHxHEIGHT to request from cameras of this machine; that of the calibration if
+            omitted.
+        rate: pictures per second to request from cameras of this machine.
+        control: exposure=150,focus=auto or cam1.gain=0: settings for cameras of this machine, as
+            `measure cameras` lists them; may be repeated.
+        lock: lock the values that automatic control finds at the start.
+    """
+
+    size: str | None = None
+    rate: float | None = None
+    control: tuple[str, ...] = ()
+    lock: bool = False
+
+    def __post_init__(self) -> None:
+        if self.size is not None and not _SIZE.fullmatch(self.size):
+            raise ConfigError(f"--size {self.size}: expected WIDTHxHEIGHT, such as 1280x720")
+        if self.rate is not None and not (math.isfinite(self.rate) and self.rate > 0):
+            raise ConfigError(f"--rate {self.rate:g}: expected pictures a second, above 0")
+        _ = self.controls
+
+    @property
+    def size_wh(self) -> tuple[int, int] | None:
+        """Width and height, px."""
+        if self.size is None:
+            return None
+        width, height = map(int, self.size.split("x"))
+        return width, height
+
+    @property
+    def controls(self) -> dict[str, dict[str, str]]:
+        """By camera ("" for all) and control a number, a menu's text or `auto`."""
+        found: dict[str, dict[str, str]] = {}
+        for text in (part.strip() for several in self.control for part in several.split(",")):
+            key, _, value = text.partition("=")
+            camera, _, name = key.rpartition(".")
+            if not (name and value):
+                raise ConfigError(f"--control {text}: expected NAME=VALUE, such as exposure=150")
+            found.setdefault(camera, {})[name] = value
+        return found
 
     def controls_of(self, camera: str) -> dict[str, str]:
         """What a camera's controls are set to."""
@@ -41,15 +76,23 @@ class CaptureRequest:
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """How cameras are read, whatever becomes of their pictures."""
+    """How cameras are read, whatever becomes of their pictures.
 
-    request: CaptureRequest | None = None  # what cameras of this machine are set to
-    seconds: float | None = None  # how long; until interrupted if None
-    overwrite: bool = False  # replace what is there
-    on_image: Callable[[Image], None] | None = None  # gets every picture, from its camera's thread
-    # called, from another thread, when a camera is away, and when it is back.
+    Attributes:
+        seconds: stop after this long.
+        request: what cameras of this machine are set to.
+        overwrite: Replace what is there.
+        on_image: gets every picture, from its camera's thread.
+        on_outage: called, from another thread, when a camera is away, and when it is back.
+        stop: set to end it; interrupts set it, too.
+    """
+
+    seconds: float | None = None
+    request: CaptureRequest = CaptureRequest()
+    overwrite: bool = False
+    on_image: Callable[[Image], None] | None = None
     on_outage: Callable[[capture.Outage], None] | None = None
-    stop: threading.Event | None = None  # set to end it; interrupts set it, too
+    stop: threading.Event | None = None
 
     def check(self) -> None:
         """Refuse a time that is not above 0, or no number (ConfigError)."""
@@ -85,10 +128,9 @@ def open_rig(
     sources: Mapping[str, Source], calibrated: Sequence[Camera], options: CaptureOptions
 ) -> Iterator[OpenRig]:
     """Open cameras until the block ends; nothing is lost yet if that is interrupted."""
-    lock = options.request is not None and options.request.lock
     with (
         capture.Cameras(sources, sizes_of(calibrated), options.on_outage) as rig,
-        watched(rig.controls, lock) as controls,
+        watched(rig.controls, options.request.lock) as controls,
         until_stopped(options.stop) as stop,
     ):
         yield OpenRig(rig, controls, stop, options)
@@ -196,7 +238,7 @@ def sizes_of(cameras: Sequence[Camera]) -> dict[str, tuple[int, int]]:
 def sources_of(
     cameras: Sequence[capture.CameraAddress],
     calibrated: Sequence[Camera],
-    request: CaptureRequest | None,
+    request: CaptureRequest = CaptureRequest(),
 ) -> dict[str, Source]:
     """What delivers each camera's pictures; nothing is opened yet.
 
@@ -204,9 +246,7 @@ def sources_of(
         ConfigError: an impossible request, or no camera that takes one.
         CaptureError: there is no such camera or file.
     """
-    request, sizes = request or CaptureRequest(), sizes_of(calibrated)
-    if request.rate_hz is not None and not (math.isfinite(request.rate_hz) and request.rate_hz > 0):
-        raise ConfigError(f"--rate {request.rate_hz:g}: expected pictures a second, above 0")
+    sizes = sizes_of(calibrated)
     devices = [one.name for one in cameras if one.is_device]
     if request != CaptureRequest() and not devices:
         raise ConfigError(
@@ -218,7 +258,7 @@ def sources_of(
             raise ConfigError(f"--control {name}.{first}: {name} is no camera of this machine")
     return {
         one.name: one.source(
-            request.size_wh or sizes.get(one.name), request.rate_hz, request.controls_of(one.name)
+            request.size_wh or sizes.get(one.name), request.rate, request.controls_of(one.name)
         )
         for one in cameras
     }
@@ -236,30 +276,10 @@ def usb_notes(
     sizes = sizes_of(calibration_of(cameras, calibration).cameras)
     asked = {name: request.size_wh or sizes.get(name) for name in known}
     return capture.bus_notes(
-        known, {name: size for name, size in asked.items() if size}, request.rate_hz
+        known, {name: size for name, size in asked.items() if size}, request.rate
     )
-
-
-def parse_controls(texts: Iterable[str]) -> dict[str, dict[str, str]]:
-    """Read NAME=VALUE and CAMERA.NAME=VALUE, several with commas; ConfigError for all else."""
-    found: dict[str, dict[str, str]] = {}
-    for text in (part.strip() for several in texts for part in several.split(",")):
-        key, _, value = text.partition("=")
-        camera, _, name = key.rpartition(".")
-        if not (name and value):
-            raise ConfigError(f"--control {text}: expected NAME=VALUE, such as exposure=150")
-        found.setdefault(camera, {})[name] = value
-    return found
 
 
 def camera_names(calibration: Path) -> tuple[str, ...]:
     """The cameras of a calibration, in its order; CalibrationError if it is broken."""
     return read_calibration(calibration).names
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Read WIDTHxHEIGHT, px; ConfigError for anything else."""
-    width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
-        raise ConfigError(f"--size {text}: expected WIDTHxHEIGHT, such as 1280x720")
-    return int(width), int(height)

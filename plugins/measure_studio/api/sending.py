@@ -1,6 +1,6 @@
 """Poses sent on as they come: a thread for each sink, with a queue that never makes them wait."""
 
-from __future__ import annotations
+# Annotations are no texts here: cyclopts reads them of records that inherit these in other modules.
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -26,14 +26,21 @@ _LAST_S = 2.0  # Longest wait, at the end, for a sink to send what waits for it
 
 @dataclass(frozen=True)
 class SendOptions:
-    """Where poses are sent."""
+    """Where poses are sent.
 
-    send: tuple[str, ...] = ()  # SCHEME:ADDRESS or SCHEME://ADDRESS each, ?SETTING=VALUE&... after
-    sink_settings: tuple[str, ...] = ()  # SCHEME.NAME=VALUE each, for all sinks of that scheme
-    note: Callable[[str], None] = print  # takes lines about them, from other threads
+    Attributes:
+        send: where every pose is sent, such as udp://127.0.0.1:5005, igtl://, foxglove://,
+            lsl:triball, zenoh:triball; may be repeated.
+        sink_settings: SINK.NAME=VALUE each, for all sinks of that scheme.
+        on_note: takes lines about them, from other threads.
+    """
+
+    send: tuple[str, ...] = ()
+    sink_settings: tuple[str, ...] = ()
+    on_note: Callable[[str], None] = print
 
 
-def open_sending(options: SendOptions, registry: Registry, run: SentRun) -> Sending:
+def open_sending(options: SendOptions, registry: Registry, run: SentRun) -> "Sending":
     """What sends the poses of a run where it should.
 
     Raises:
@@ -55,8 +62,8 @@ def open_sending(options: SendOptions, registry: Registry, run: SentRun) -> Send
     ]
     for address, sink in sinks:
         for line in sink.notes:
-            options.note(f"{address}: {line}")
-    return Sending(sinks, options.note)
+            options.on_note(f"{address}: {line}")
+    return Sending(sinks, options.on_note)
 
 
 def _build(text: str, settings: Mapping[str, Any], registry: Registry, run: SentRun) -> Sink:

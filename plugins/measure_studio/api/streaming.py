@@ -40,7 +40,7 @@ def stream(
     check_unit(rig, body, "the rig", "give lengths in mm")
     profile = profile.model_copy(update={"smoothing": False})
     warm = warm_pipeline(profile, registry, body, calibrated)
-    sources = recording.sources_of(addresses, calibrated, None)
+    sources = recording.sources_of(addresses, calibrated)
     options = recording.CaptureOptions()
     with ExitStack() as stack:
         opened = stack.enter_context(recording.open_rig(sources, calibrated, options))

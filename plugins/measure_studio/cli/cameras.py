@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure_studio import api as studio_api
+from measure.cli.options import command
+from measure_studio import api
 from measure_studio.capture import FoundCamera, Mode
 
 
-def cameras(*addresses: str, json: JsonFlag = False) -> None:
-    """List cameras, their modes and controls, and whether they stream.
-
-    Without an address it lists the cameras of this machine. Needs the extra `cameras`.
-
-    Args:
-        addresses: cameras to test instead, as `measure record` takes them: size, rate and clock of
-            each in two seconds, or why there is no picture.
-    """
-    found = studio_api.cameras(addresses)
+@command(api.cameras)
+def cameras(found: Sequence[FoundCamera], json: JsonFlag = False) -> None:
+    """Print the cameras."""
     if json:
         console.print_json({"cameras": found})
     elif not found:

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Annotated
 
 from measure.api import WaveState
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile, Overwrite
+from measure.cli.console import JsonFlag, OutFile
+from measure.cli.options import FIELDS
 from measure_studio import api as studio_api
-from measure_studio.cli.options import LINE_EVERY_S, CameraOptions
+from measure_studio.cli.record import LINE_EVERY_S
 
 
 def capture(
     *cameras: str,
     board: str,
     out: OutFile,
-    overwrite: Overwrite = False,
     body: Path | None = None,
     goal_mm: float = 0.2,
-    capture: CameraOptions = CameraOptions(),
+    options: Annotated[studio_api.CaptureOptions, FIELDS] = studio_api.CaptureOptions(),
     json: JsonFlag = False,
 ) -> int:
     """Take pictures of a waved board, and stop when there are enough.
@@ -42,7 +43,6 @@ def capture(
             last[0] = time.monotonic()
             console.note(f"{state.sentence()}; {', '.join(state.advice[:3])}")
 
-    options = studio_api.CaptureOptions(capture.request(), capture.seconds, overwrite)
     state = studio_api.capture_board(
         given, board, out, options, body=body, goal_mm=goal_mm, on_state=tell
     )

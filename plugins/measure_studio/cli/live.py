@@ -7,52 +7,32 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cyclopts import Parameter
-
-from measure import api
-from measure.api import Keep, Measurement
+from measure.api import Measurement
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import BodyOptions, InjectedRegistry, ProfileOptions, ViewerOptions
+from measure.cli.console import JsonFlag, OutFile
+from measure.cli.options import FIELDS, InjectedRegistry, ProfileOptions, Recording, Spawn, viewer
 from measure.cli.run import print_summary
 from measure.errors import ConfigError
 from measure_studio import api as studio_api
 from measure_studio.api import LiveEnd, LiveState
-from measure_studio.cli.options import LINE_EVERY_S, CameraOptions
-from measure_studio.cli.record import note_outage, print_cameras
+from measure_studio.cli.record import LINE_EVERY_S, note_outage, print_cameras
 
 
-@Parameter(name="*")
+@FIELDS
 @dataclass(frozen=True)
-class _DestinationOptions:
-    """Where the results go.
-
-    Attributes:
-        out: the run's folder, made if it is not there.
-        record: a session folder to record the pictures into as well.
-        send: where every pose is sent, such as udp://127.0.0.1:5005, igtl://, foxglove://,
-            lsl:triball, zenoh:triball; may be repeated.
-        marks: where event marks come from, udp://:PORT or lsl:NAME; may be repeated.
-        mark: mark an event with Enter; the text typed before it names it.
-    """
-
-    out: OutFile
-    overwrite: Overwrite = False
-    record: Path | None = None
-    send: tuple[str, ...] = ()
-    marks: tuple[str, ...] = ()
-    mark: bool = False
+class _LiveOptions(studio_api.LiveOptions):
+    recording: Recording = True
 
 
 def live(
     *cameras: str,
-    to: _DestinationOptions,
+    out: OutFile,
     calibration: Path,
-    bodies: BodyOptions = BodyOptions(),
+    body: tuple[Path, ...] = (),
     method: ProfileOptions = ProfileOptions(),
-    viewer: ViewerOptions = ViewerOptions(),
-    capture: CameraOptions = CameraOptions(),
-    keep_calibration: Keep | None = None,
+    spawn: Spawn = False,
+    mark: bool = False,
+    options: _LiveOptions = _LiveOptions(),
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -64,41 +44,33 @@ def live(
 
     Args:
         cameras: NAME=ADDRESS each, two at least, as for `measure record`.
+        out: the run's folder, made if it is not there.
         calibration: the cameras' calibration.
-        keep_calibration: if omitted, a camera that is moved meanwhile is left out and brought back;
-            `follow` also follows one that drifts; `warn` only names it; `off` measures with it as
-            it is.
+        body: the body's file; may be repeated for several bodies.
+        mark: mark an event with Enter; the text typed before it names it.
     """
-    schemes = {address.partition(":")[0] for address in to.send}
+    schemes = {address.partition(":")[0] for address in options.send}
     ours = tuple(text for text in method.set_ if text.partition(".")[0] in schemes)
     chosen = replace(method, set_=tuple(t for t in method.set_ if t not in ours)).chosen()
-    options = studio_api.LiveOptions(
-        record=to.record,
-        send=to.send,
-        marks=(*to.marks, *([studio_api.TYPED] if to.mark else [])),
+    options = replace(
+        options,
+        marks=(*options.marks, *([studio_api.TYPED] if mark else [])),
+        connect=viewer(options.connect, spawn),
         sink_settings=ours,
-        note=console.note,
-        seconds=capture.seconds,
-        request=(request := capture.request()),
-        image_every=api.parse_images(viewer.images),
-        recording=viewer.recording,
-        viewer=viewer.address(),
-        overwrite=to.overwrite,
-        reference=bodies.reference or "",
+        on_note=console.note,
         on_outage=note_outage,
-        keep_calibration=keep_calibration,
     )
-    if not bodies.body:
+    if not body:
         raise ConfigError("what is to be measured? give --body FILE")
     given = studio_api.parse_cameras(cameras, studio_api.camera_names(calibration))
-    for line in studio_api.usb_notes(given, calibration, request):
+    for line in studio_api.usb_notes(given, calibration, options.request):
         console.note(line)
     lines = _StateLines()
-    end = studio_api.live(given, to.out, calibration, bodies.body, chosen, registry, options, lines)
+    end = studio_api.live(given, out, calibration, body, chosen, registry, options, lines)
     if json:
-        console.print_json({"run": str(to.out), **end.summary.values(), **_numbers(end)})
+        console.print_json({"run": str(out), **end.summary.values(), **_numbers(end)})
     else:
-        _print(end, to.out)
+        _print(end, out)
 
 
 class _StateLines:

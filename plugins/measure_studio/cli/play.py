@@ -2,32 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
-
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.options import FIELDS, InjectedRegistry, SettingTexts, ShowOptions
+from measure.cli.options import FIELDS, InjectedRegistry, Spawn, viewer
 from measure.errors import ConfigError
 from measure_studio import api
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _ReceiverOptions(ShowOptions):
-    """Where a run is played to.
-
-    Attributes:
-        send: where every pose is sent, such as udp://127.0.0.1:5005, igtl://, foxglove://,
-            lsl:triball, zenoh:triball; may be repeated.
-        set_: a setting of a sink as SINK.NAME=VALUE, such as udp.format=osc; may be repeated.
-    """
-
-    send: tuple[str, ...] = ()
-    set_: SettingTexts = ()
 
 
 def play(
@@ -36,8 +19,9 @@ def play(
     *,
     as_cameras: bool = False,
     port: int = api.CAMERA_PORT,
-    pace: Annotated[api.Pace, FIELDS] = api.Pace(),
-    to: _ReceiverOptions = _ReceiverOptions(),
+    options: Annotated[api.PlayOptions, FIELDS] = api.PlayOptions(),
+    set_: tuple[str, ...] = (),
+    spawn: Spawn = False,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -52,15 +36,17 @@ def play(
         run: the run's folder; with `--as-cameras` the session's.
         as_cameras: serve the cameras of a session.
         port: where they are served; 0 for any that is free.
+        set_: a setting of a sink as SINK.NAME=VALUE, such as udp.format=osc; may be repeated.
     """
     if as_cameras:
-        if to.send or to.spawn or to.connect:
+        if options.send or spawn or options.connect:
             raise ConfigError(
                 "--as-cameras serves pictures, no poses: leave out --send, --spawn and --connect"
             )
-        _play_cameras(run, pace, port, json)
+        _play_cameras(run, options, port, json)
         return
-    options = api.PlayOptions(to.send, to.set_, console.note, **vars(pace), viewer=to.address())
+    connect = viewer(options.connect, spawn)
+    options = replace(options, connect=connect, sink_settings=set_, on_note=console.note)
     end = api.play(run, registry, options)
     if json:
         console.print_json({"run": str(run), **vars(end)})

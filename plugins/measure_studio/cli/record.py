@@ -5,28 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Annotated
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, OutFile, Overwrite
-from measure.cli.options import BodyOptions
+from measure.cli.console import JsonFlag, OutFile
+from measure.cli.options import FIELDS
 from measure.limits import MOST_LISTED
 from measure.model import Image
 from measure_studio import api as studio_api
 from measure_studio.capture import CameraCount, Outage
-from measure_studio.cli.options import CameraOptions
 
+FIELDS(studio_api.CaptureRequest)
+LINE_EVERY_S = 2.0  # Between two lines of what has come
 _UNEVEN_S = 2e-3  # Spread of the times of arrival, in s, from which a warning is printed
 
 
 def record(
     *cameras: str,
     out: OutFile,
-    overwrite: Overwrite = False,
     calibration: Path | None = None,
-    bodies: BodyOptions = BodyOptions(),
-    capture: CameraOptions = CameraOptions(),
+    body: tuple[Path, ...] = (),
+    reference: str = "",
+    options: Annotated[studio_api.CaptureOptions, FIELDS] = studio_api.CaptureOptions(),
     spawn: bool = False,
     json: JsonFlag = False,
 ) -> None:
@@ -41,23 +44,24 @@ def record(
         out: the session's folder.
         calibration: the cameras' calibration, copied into the session as the bodies' files are;
             they may come later.
+        body: the body's file; may be repeated for several bodies.
+        reference: name of the body that the others are measured relative to.
         spawn: open the viewer, which shows the cameras' pictures.
     """
     names = () if calibration is None else studio_api.camera_names(calibration)
-    given, request = studio_api.parse_cameras(cameras, names), capture.request()
-    for line in studio_api.usb_notes(given, calibration, request):
+    given = studio_api.parse_cameras(cameras, names)
+    for line in studio_api.usb_notes(given, calibration, options.request):
         console.note(line)
     with ExitStack() as stack:
         show = _preview([one.name for one in given], stack) if spawn else None
-        options = studio_api.CaptureOptions(request, capture.seconds, overwrite, show, note_outage)
         report = stack.enter_context(console.progress("recording", "pictures"))
         recorded = studio_api.record(
             given,
             out,
-            options,
+            replace(options, on_image=show, on_outage=note_outage),
             calibration=calibration,
-            bodies=bodies.body,
-            reference=bodies.reference or "",
+            bodies=body,
+            reference=reference,
             on_state=lambda counts: report(sum(c.pictures for c in counts.values()), None),
         )
     if json:

@@ -11,10 +11,9 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.options import InjectedRegistry
+from measure.cli.options import FIELDS, InjectedRegistry
 from measure.errors import ConfigError
 from measure_studio import api
-from measure_studio.cli.options import CameraOptions
 
 
 def studio(
@@ -24,7 +23,8 @@ def studio(
     port: int = 8080,
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
     host: str = "127.0.0.1",
-    capture: CameraOptions = CameraOptions(),
+    seconds: float | None = None,
+    request: Annotated[api.CaptureRequest, FIELDS] = api.CaptureRequest(),
     rendered: Annotated[str | None, Parameter(parse=False)] = None,
     registry: InjectedRegistry,
 ) -> None:
@@ -40,6 +40,7 @@ def studio(
         port: to listen on; 0 for any that is free.
         browser: open the page in a browser.
         host: address to listen on.
+        seconds: stop after this long.
         rendered: instead of cameras, rendered ones that wave this board (or "body", that), on a
             new folder.
     """
@@ -62,4 +63,4 @@ def studio(
             if rendered != api.WAVED_BODY:
                 waved = f"choose the board {rendered}"
             console.note(f"{folder}: {waved} in step Calibration; Ctrl-C ends it")
-        serve(folder, registry, cameras, capture.request(), (host, port), capture.seconds, tell)
+        serve(folder, registry, cameras, request, (host, port), seconds, tell)

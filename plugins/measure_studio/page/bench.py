@@ -239,8 +239,7 @@ class Bench:
     def set_controls(self, text: str, lock: bool) -> None:
         """Set cameras of this machine, as `--control` and `--lock` do, now and from now on."""
         self.refuse_if_busy()
-        controls = studio_api.parse_controls([text] if text.strip() else [])
-        self.given = replace(self.given, controls=controls, lock=lock)
+        self.given = replace(self.given, control=(text,) if text.strip() else (), lock=lock)
         self.let_go()
         self.watch()
 
@@ -339,9 +338,10 @@ class Bench:
         self._counts = counts
 
     @property
-    def request(self) -> studio_api.CaptureRequest | None:
-        """What `record` and `live` are to set cameras to; None if none can be set."""
-        return self.given if any(one.is_device for one in self.cameras) else None
+    def request(self) -> studio_api.CaptureRequest:
+        """What `record` and `live` are to set cameras to; nothing if none can be set."""
+        takes = any(one.is_device for one in self.cameras)
+        return self.given if takes else studio_api.CaptureRequest()
 
     def addresses(self) -> list[studio_api.CameraAddress]:
         """The cameras as `record` and `live` take them; ConfigError if there is none."""
@@ -364,7 +364,7 @@ class Bench:
             job.lasts(seconds)
 
         look, stop = self.preview.add, job.stop
-        options = studio_api.CaptureOptions(self.request, seconds=seconds, on_image=look, stop=stop)
+        options = studio_api.CaptureOptions(seconds, self.request, on_image=look, stop=stop)
         cameras = self.addresses()
         return studio_api.record(
             cameras, session, options, calibration=calibration, bodies=bodies, on_state=hear
@@ -392,13 +392,15 @@ class Bench:
         """The same as part of a job."""
         job.title, out = f"calibrating by {capture.name}", self.folder / CALIBRATION
         before = out.read_bytes() if out.is_file() else None
-        progress = job.progress
-        if api.is_session(capture):
-            found = api.calibrate_by_body_to(
-                out, capture, body, self.registry, lenses, progress, overwrite=True
-            )
-        else:
-            found = api.calibrate_to(out, capture, body=body, progress=progress, overwrite=True)
+        found = api.calibrate_to(
+            capture,
+            out,
+            self.registry,
+            overwrite=True,
+            body=body,
+            lenses=lenses if api.is_session(capture) else None,
+            progress=job.progress,
+        )
         self.keep(out, before, "the calibration")
         hear(*found)
         return f"{capture.name} gave {CALIBRATION}"

@@ -126,7 +126,7 @@ class _Wave:
         self.capture, self.state, self.result = out, None, None
         self.is_waved, self.suffices, self.what = True, False, what
         options = studio_api.CaptureOptions(
-            bench.request, on_image=bench.preview.add, stop=job.stop
+            request=bench.request, on_image=bench.preview.add, stop=job.stop
         )
         return out, options
 

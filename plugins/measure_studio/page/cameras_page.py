@@ -133,7 +133,7 @@ def _seldom(bench: Bench) -> None:
         await tried(lambda: bench.look_for(bodies))
 
     def set_controls() -> str:
-        if bench.request is None:
+        if not any(one.is_device for one in bench.cameras):
             raise ConfigError(
                 "only cameras of this computer can be set here: those of the network are set "
                 "where they are served"

@@ -144,7 +144,7 @@ class _Live:
                 made = replace(options, stop=job.stop)
                 if self.viewer and bench.local:
                     bench.viewer, listens = stack.enter_context(studio_api.web_viewer())
-                    made = replace(made, viewer=listens, image_every=10)
+                    made = replace(made, connect=listens)
                 summary = studio_api.live(
                     cameras,
                     run,

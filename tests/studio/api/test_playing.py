@@ -157,7 +157,7 @@ def test_a_viewer_is_shown_poses_and_balls(tmp_path, monkeypatch):
     written(tmp_path / "run", [measurement(k, lost=k == 3) for k in range(5)])
     monkeypatch.setattr(recording, "check_listening", lambda address: None)
     monkeypatch.setattr(recording.rr, "GrpcSink", lambda _: rr.FileSink(tmp_path / "seen.rrd"))
-    options = PlayOptions(viewer="nowhere", wait_s=0.0, rate=10.0)
+    options = PlayOptions(connect="nowhere", wait_s=0.0, rate=10.0)
     assert play(tmp_path / "run", Registry([]), options).frame_sets == 5
     seen = read_recording(tmp_path / "seen.rrd")
     trail = column(seen[entities.TRAIL], "Points3D:positions")
