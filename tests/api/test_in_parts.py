@@ -24,17 +24,28 @@ from tests.simulated.sessions import part_of
 
 pytestmark = pytest.mark.slow
 
-FRAMES = 4
-SETS, KEPT = 12, 7
+FRAMES = 3
+SETS, KEPT = 9, 5
 RUN_UP_SETS = 3
 QUIET = RunOptions(recording=False)
+PRECISE, QUICK = "precise", "paper"
+"""The kernels of the second load and run in a third of the time."""
+
+
+@pytest.fixture(scope="module")
+def still(still: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its first frame sets."""
+    return part_of(still, range(SETS), tmp_path_factory.mktemp("still") / "still")
 
 
 @pytest.fixture(scope="module")
 def whole(still: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """The run that nobody disturbed."""
-    out = tmp_path_factory.mktemp("whole") / "run"
-    api.run(still, out, api.load_profile(), Registry.discover(), QUIET)
+    return undisturbed(still, tmp_path_factory.mktemp("whole") / "run", PRECISE)
+
+
+def undisturbed(session: Path, out: Path, profile: str) -> Run:
+    run(session, out, load_profile(profile), Registry.discover(), QUIET)
     return read_run(out)
 
 
@@ -50,9 +61,11 @@ def _last_first(jobs: Sequence[Callable[[], object]], _: Workers) -> Iterator[tu
     return ((number, jobs[number]()) for number in reversed(range(len(jobs))))
 
 
-def measured(session: Path, out: Path, workers: Workers, seen: list[int]) -> Run:
+def measured(
+    session: Path, out: Path, workers: Workers, seen: list[int], profile: str = QUICK
+) -> Run:
     options, registry = api.RunOptions(images="none"), Registry.discover()
-    method = api.load_profile(), registry, options, workers
+    method = load_profile(profile), registry, options, workers
     api.run_in_stretches(session, out, *method, progress=lambda done, _: seen.append(done))
     return read_run(out)
 
@@ -91,8 +104,8 @@ def test_what_no_stretch_can_measure_is_measured_in_turn(
     monkeypatch.setattr(stretches, "spread", _last_first)
     monkeypatch.setattr(stretches._Stretch, "_rows", fails_midway)
     seen = list[int]()
-    agree(measured(still, tmp_path / "run", Workers(2), seen), whole)
-    assert seen == [4, *range(5, SETS + 1)]
+    agree(measured(still, tmp_path / "run", Workers(2), seen, PRECISE), whole)
+    assert seen == [SETS // 3, *range(SETS // 3 + 1, SETS + 1)]
 
 
 def test_workers_that_die_are_said_and_what_was_measured_is_kept(
@@ -102,10 +115,10 @@ def test_workers_that_die_are_said_and_what_was_measured_is_kept(
     monkeypatch.setattr(
         stretches, "spread", lambda jobs, _: iter([(0, jobs[0]()), (1, "its process was killed")])
     )
-    with pytest.raises(RunError, match="frame sets 6 and on: its process was killed"):
+    with pytest.raises(RunError, match="frame sets 4 and on: its process was killed"):
         measured(still, tmp_path / "run", Workers(1), [])
     kept = (tmp_path / "run" / "poses.csv").read_text().splitlines()
-    assert len(kept) == 1 + SETS // 2
+    assert len(kept) == 1 + 4
 
 
 @pytest.fixture
@@ -174,14 +187,14 @@ def one_by_one(sessions, tmp_path_factory) -> dict[str, str]:
     """What each recording gives when measured alone."""
     out = tmp_path_factory.mktemp("alone")
     for path in sessions:
-        summary = run(path, out / path.name, load_profile(), Registry.discover(), QUIET)
+        summary = run(path, out / path.name, load_profile(QUICK), Registry.discover(), QUIET)
         assert summary.ok + summary.flagged == FRAMES
     return poses(out)
 
 
 def measure(sessions, out, workers=1, cluster=None, **kwargs):
-    who = Workers(workers, cluster)
-    return run_many(sessions, out, load_profile(), Registry.discover(), QUIET, who, **kwargs)
+    method = load_profile(QUICK), Registry.discover(), QUIET, Workers(workers, cluster)
+    return run_many(sessions, out, *method, **kwargs)
 
 
 def poses(out: Path) -> dict[str, str]:
@@ -231,25 +244,22 @@ def cluster(tmp_path_factory) -> Iterator[Cluster]:
         yield cluster
 
 
-def test_a_cluster_measures_stretches_of_one_recording(
-    cluster, still, whole, tmp_path, monkeypatch
-):
+def test_a_cluster_measures_stretches_of_one_recording(cluster, still, tmp_path, monkeypatch):
     monkeypatch.setattr(stretches, "LEAST_FRAME_SETS", SETS // 3)
     workers = Workers(cluster=cluster.address)
     assert workers.available() == 2
     seen = list[int]()
     run = measured(still, tmp_path / "run", workers, seen)
-    agree(run, whole)
-    assert seen == [4, 8, 12]
+    agree(run, undisturbed(still, tmp_path / "whole", QUICK))
+    assert seen == [3, 6, 9]
     assert (run.path / "run.rrd").stat().st_size > 100_000
 
 
 def test_a_killed_dask_worker_loses_no_recording(cluster, sessions, one_by_one, tmp_path):
     out = tmp_path / "runs"
     command = [sys.executable, "-m", "measure", "run", *sessions, "-o", out, "--no-recording"]
-    runner = subprocess.Popen(
-        [*command, "--cluster", cluster.address, "--json"], stdout=subprocess.PIPE, text=True
-    )
+    how = ["--profile", QUICK, "--cluster", cluster.address, "--json"]
+    runner = subprocess.Popen([*command, *how], stdout=subprocess.PIPE, text=True)
     wait_for(lambda: list(out.glob("*/poses.csv")), runner)
     cluster.workers[0].send_signal(signal.SIGKILL)
     printed, _ = runner.communicate(timeout=240)
