@@ -35,10 +35,10 @@ def receiving(where, goes_on=False):
         thread.join()
 
 
-def wait_for(condition):
+def wait_for(condition, what="it"):
     until_s = time.monotonic() + 20.0
     while not condition():
-        assert time.monotonic() < until_s, "it did not happen"
+        assert time.monotonic() < until_s, f"{what} did not happen"
         time.sleep(0.005)
 
 
