@@ -17,7 +17,7 @@ from measure.results import Run, read_run
 from measure.session import read_calibration, read_trajectory
 from tests.simulated.knocked import TURN_DEG, knocked_session
 
-SETS, SINCE, HZ = 54, 12, 15.0
+SETS, SINCE, HZ = 48, 12, 15.0
 pytestmark = pytest.mark.slow
 ALL = ("cam0", "cam1", "cam2", "cam3")
 QUIET = ("--no-recording", "--images", "none")
@@ -138,7 +138,7 @@ def test_who_asks_for_nothing_is_told_of_no_change(renders, tmp_path):
 
 
 def test_two_cameras_are_not_followed(renders, tmp_path, capsys):
-    session = knocked_session(renders / "still", tmp_path / "s", 24, 12, ("cam0", "cam1"), HZ)
+    session = knocked_session(renders / "still", tmp_path / "s", 24, SINCE, ("cam0", "cam1"), HZ)
     tables = []
     for more in ([], ["--keep-calibration", "follow"]):
         out = tmp_path / f"run{len(more)}"

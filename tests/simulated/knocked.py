@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import Camera
 from measure.session import Calibration, read_calibration, read_trajectory, write_calibration
@@ -23,16 +25,20 @@ def there_and_back(count: int, sets: int) -> list[int]:
     return [order[k % len(order)] for k in range(sets)]
 
 
-def turned(picture: Path, camera: Camera, turn_deg: np.ndarray = TURN_DEG) -> bytes:
-    """A picture of a camera as a JPEG, as it were turned about its centre."""
+def turning(camera: Camera, turn_deg: Floats = TURN_DEG) -> Callable[[Path], bytes]:
+    """Makes pictures of a camera JPEGs, as it were turned about its centre."""
     lens = camera.intrinsics
     width, height = lens.size_wh
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
     turn = RigidTransform.from_rotvec(np.radians(turn_deg)).rotation
     source = lens.project(lens.unproject(pixels.astype(float)) @ turn.T)
-    at = source.reshape(height, width, 2).astype(np.float32)
-    image = cv2.remap(cv2.imread(str(picture)), at[..., 0], at[..., 1], cv2.INTER_CUBIC)
-    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+    u, v = np.moveaxis(source.reshape(height, width, 2).astype(np.float32), -1, 0)
+
+    def turned(picture: Path) -> bytes:
+        image = cv2.remap(cv2.imread(str(picture)), u, v, cv2.INTER_CUBIC)
+        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+
+    return turned
 
 
 def knocked_session(
@@ -43,7 +49,8 @@ def knocked_session(
     cameras = [known.camera(name) for name in names]
     pictures = {name: sorted((source / name).glob("*.jpg")) for name in names}
     order = there_and_back(len(pictures[names[0]]), sets)
-    later = {k: turned(pictures["cam1"][k], known.camera("cam1")) for k in {*order[since:]}}
+    turned = turning(known.camera("cam1"))
+    later = {k: turned(pictures["cam1"][k]) for k in {*order[since:]}}
     for name in names:
         (folder / name).mkdir(parents=True)
         for number, k in enumerate(order):

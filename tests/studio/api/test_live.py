@@ -29,7 +29,7 @@ from measure.results import read_run
 from measure.session import read_calibration, read_trajectory
 from measure_studio.api import LiveOptions, live, parse_cameras
 from tests.camera_server import ServedCamera, serving
-from tests.simulated.knocked import TURN_DEG, turned
+from tests.simulated.knocked import TURN_DEG, turning
 
 pytestmark = pytest.mark.usefixtures("signals")
 
@@ -223,7 +223,7 @@ def test_a_camera_that_is_knocked_is_brought_back(session, tmp_path):
     rig = session / "calibration.toml"
     camera = read_calibration(rig).camera("cam1")
     shown = sorted((session / "cam1").glob("*.jpg"))
-    later, seen = [turned(picture, camera) for picture in shown], []
+    later, seen = [*map(turning(camera), shown)], []
 
     def hear(state):
         seen.append(state)
