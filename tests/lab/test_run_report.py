@@ -29,6 +29,12 @@ from measure_learning.core.frames import RobotFrame, write_frame
 PROVENANCE = Provenance("/data/s", "a", "calibration.toml", "b", "c", {"name": "precise"}, {})
 
 
+@pytest.fixture(autouse=True)
+def _coarse_maps(monkeypatch):
+    """Of 3 x 3 places: a fine one takes most of a report's time."""
+    monkeypatch.setattr("measure_lab.run_report._STEPS", 3)
+
+
 def _run(folder, count, lost=(), finish=True, measure=None, cameras=CAMERAS, provenance=PROVENANCE):
     with RunWriter(folder, provenance, [BODY], cameras) as writer:
         for index in range(count):
@@ -52,13 +58,15 @@ def test_a_good_run_says_how_well_the_position_is_known(tmp_path):
 
 
 def test_a_report_names_the_recording_and_the_day(tmp_path):
-    page = run_report([_run(tmp_path / "run", 5)])
-    assert "<title>Run of s</title>" in page
-    assert re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", page)
-    assert "<title>Run s</title>" in run_report([_run(tmp_path / "s", 5)])
     named = replace(PROVENANCE, session_name="white room")
-    page = run_report([_run(tmp_path / "other", 5, provenance=named)])
-    assert "<title>Run other of white room</title>" in page
+    for name, made_from, title in (
+        ("run", PROVENANCE, "Run of s"),
+        ("s", PROVENANCE, "Run s"),
+        ("other", named, "Run other of white room"),
+    ):
+        page = run_report([_run(tmp_path / name, 5, (0, 1, 2, 3, 4), provenance=made_from)])
+        assert f"<title>{title}</title>" in page
+        assert re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", page)
 
 
 def test_a_run_in_a_folder_whose_name_is_no_text_has_a_report(tmp_path):
@@ -156,10 +164,10 @@ def test_a_camera_that_never_helps_is_named(tmp_path):
 def test_the_accuracy_map_agrees_with_the_run_where_the_body_was(tmp_path):
     run = _run(tmp_path / "run", 40)
     there = accuracy_map(run, (0, 1))
-    middle = there.sd_mm[5, 5]
+    middle = there.sd_mm[1, 1]
     assert middle == pytest.approx(run.summary.position_sd_mm, rel=0.05)
     assert not there.from_calibration
-    assert there.across_mm[5] == pytest.approx(np.mean([0, 3.9]), abs=1e-9)
+    assert there.across_mm[1] == pytest.approx(np.mean([0, 3.9]), abs=1e-9)
 
 
 def test_a_calibration_known_badly_weighs_where_pictures_do_not(tmp_path):
@@ -168,7 +176,7 @@ def test_a_calibration_known_badly_weighs_where_pictures_do_not(tmp_path):
     run = _run(tmp_path / "run", 40, cameras=loose)
     there = accuracy_map(run, (0, 1))
     assert there.from_calibration
-    assert there.sd_mm[5, 5] == pytest.approx(run.summary.position_sd_mm, rel=0.05)
+    assert there.sd_mm[1, 1] == pytest.approx(run.summary.position_sd_mm, rel=0.05)
 
 
 def test_a_place_that_one_camera_sees_has_no_expected_accuracy(tmp_path):
