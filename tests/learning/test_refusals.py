@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import threading
 import time
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.sinks import free_port
 from measure.arrays import Floats
 from measure.cli import main
 from measure.host import Correction, Dataset
@@ -254,19 +257,13 @@ def test_labels_in_metres(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
 
+@pytest.mark.usefixtures("signals")
 def test_live_states_that_cannot_be_corrected(
     folder: Path, small: Dataset, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Wrong count, NaN, stale stamp, reordering, garbage: each answered with its reason."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    words = ["estimate", str(folder / "model.onnx"), "--port", str(port), "--seconds", "4"]
+    port, state = free_port(socket.SOCK_DGRAM), small.states[0]
     capsys.readouterr()
-    server = threading.Thread(target=main, args=([*words, "--json"],))
-    server.start()
-    client = _client(port, small.states[0])
-    state = small.states[0]
     broken = np.where(np.arange(len(state)) == 7, np.nan, state)
     sent: list[tuple[int, float, Floats, Refusal | None]] = [
         (5, 1.0, state, None),
@@ -277,16 +274,24 @@ def test_live_states_that_cannot_be_corrected(
         (8, 1.3, broken, Refusal.NOT_A_NUMBER),
         (8, 1.3, state, None),
     ]
-    for sequence, time_s, values, wanted in sent:
-        answer = _asked(client, StatePacket(sequence, time_s, values).pack())
+    heard = list[AnswerPacket]()
+
+    def ask() -> None:
+        with closing(_client(port, state)) as client:
+            packets = [StatePacket(number, at_s, values).pack() for number, at_s, values, _ in sent]
+            heard.extend(_asked(client, packet) for packet in (*packets, b"garbage"))
+        signal.raise_signal(signal.SIGINT)
+
+    robot = threading.Thread(target=ask)
+    robot.start()
+    words = ["estimate", str(folder / "model.onnx"), "--port", str(port), "--seconds", "60"]
+    assert main([*words, "--json"]) == 0
+    robot.join()
+    *answers, last = heard
+    for answer, (sequence, *_, wanted) in zip(answers, sent, strict=True):
         assert answer.sequence == sequence
-        if wanted is None:
-            assert isinstance(answer.answer, Correction)
-        else:
-            assert answer.answer is wanted
-    assert _asked(client, b"garbage").answer is Refusal.MALFORMED
-    client.close()
-    server.join()
+        assert isinstance(answer.answer, Correction) if wanted is None else answer.answer is wanted
+    assert last.answer is Refusal.MALFORMED
     counts = json.loads(capsys.readouterr().out)
     assert counts["lost"] == 5  # 1 to 4 and 6
     refused = {wanted for *_, wanted in sent if wanted} | {Refusal.MALFORMED}
@@ -295,7 +300,7 @@ def test_live_states_that_cannot_be_corrected(
 
 def _client(port: int, state: Floats) -> EstimateClient:
     """Connected, once the server answers."""
-    client = EstimateClient(("127.0.0.1", port), timeout_s=5.0)
+    client = EstimateClient(("127.0.0.1", port), timeout_s=20.0)
     for _ in range(200):
         client.send(StatePacket(0, 0.0, state).pack())
         if client.receive() is not None:

@@ -107,7 +107,7 @@ def test_a_wrong_input_has_its_status_by_udp_and_in_a_file(
     model, states, times = models[True], change(TODAY.states), TODAY.times_s
     times = times[SHUFFLED] if name == "rows shuffled" else times
     with serving(EstimateServer(model.another(), ("127.0.0.1", 0))) as server:
-        client = EstimateClient(server.address, timeout_s=5.0)
+        client = EstimateClient(server.address, timeout_s=20.0)
         answers = [client.ask(s, t).answer for s, t in zip(states, times, strict=True)]
         client.close()
     said = [str(a) if isinstance(a, Refusal) else ("corrected", "unfamiliar")[a.unfamiliar]

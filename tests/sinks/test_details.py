@@ -226,15 +226,15 @@ def test_lsl_streams_describe_themselves():
     sink = build(f"lsl:{name}", run_of("tool", "base", reference="base"))
     sink.open()
     try:
-        (found,) = pylsl.resolve_byprop("name", name, timeout=5.0)
+        (found,) = pylsl.resolve_byprop("name", name, timeout=20.0)
         inlet = pylsl.StreamInlet(found)
-        info = inlet.info(5.0)
+        info = inlet.info(20.0)
         labels, units = info.get_channel_labels(), info.get_channel_units()
-        (marks,) = pylsl.resolve_byprop("name", f"{name}-marks", timeout=5.0)
+        (marks,) = pylsl.resolve_byprop("name", f"{name}-marks", timeout=20.0)
         marked = pylsl.StreamInlet(marks)
-        marked.open_stream(5.0)
+        marked.open_stream(20.0)
         sink.send_mark(EventMark(3.0, time.time() - 1.5, "stimulus"))
-        text, stamp_s = marked.pull_sample(timeout=5.0)
+        text, stamp_s = marked.pull_sample(timeout=20.0)
         assert text == ["stimulus"]
         assert pylsl.local_clock() - stamp_s == pytest.approx(1.5, abs=0.5)
     finally:
@@ -257,18 +257,18 @@ def test_foxglove_shows_transforms_and_small_pictures():
     with connect(f"ws:{where.partition(':')[2]}", subprotocols=["foxglove.sdk.v1"]) as client:
         channels = {}
         while len(channels) < 4:
-            told = client.recv(timeout=5.0)
+            told = client.recv(timeout=20.0)
             told = json.loads(told) if isinstance(told, str) else {}
             channels |= {one["id"]: one["topic"] for one in told.get("channels", ())}
         asked = [{"id": one, "channelId": one} for one in channels]
         client.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
-        time.sleep(0.3)
+        wait_for(lambda: all(one.has_sinks() for one in sink._topics.values()))
         sink.send_pictures(picture)
         sink.send_pictures(picture)  # it is not its turn
         sink.send(sent_pose(measurement(1, 0.1), "tool"))
         sink.send_mark(EventMark(1.0, 1.0, "stimulus"))
         while "/marks" not in heard:
-            data = client.recv(timeout=5.0)
+            data = client.recv(timeout=20.0)
             if isinstance(data, bytes) and data[0] == 1:
                 topic = channels[struct.unpack("<I", data[1:5])[0]]
                 assert topic not in heard

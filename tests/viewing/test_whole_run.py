@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import signal
-import socket
 import subprocess
 import time
 from contextlib import nullcontext
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from benchmarks.sinks import free_port
 from measure import api
 from measure.host import Registry
 from measure.results import read_run
@@ -179,9 +179,7 @@ def _wait_until_settled(path: Path, still_s: float = 2.0, at_most_s: float = 60.
 
 def test_a_viewer_that_runs_already_is_sent_what_is_measured(session: Path, tmp_path: Path):
     """`--connect`: here to Rerun's own receiver, which writes what it gets into a file."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     heard, said = tmp_path / "heard.rrd", list[str]()
     command = [viewer_program(), "--save", heard, "--bind", "127.0.0.1", "--port", str(port)]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as receiver:

@@ -20,6 +20,7 @@ from measure.session import dump_toml
 from measure_studio import api as studio_api
 from measure_studio.api import PlayOptions, play_cameras
 from measure_studio.capture.mjpeg import HttpSource
+from tests.receiving import wait_for
 from tests.session import videos
 
 TIMES_S = {"cam 0": [10.0, 10.05, 10.1, 10.2], "käm#1": [10.02, 10.07, 10.12, 10.22]}
@@ -61,14 +62,14 @@ def playing(session, **options):
     )
     thread.start()
     try:
-        assert heard.wait(10)
+        assert heard.wait(30)
         yield (
             {one.name: one.address for one in studio_api.parse_cameras(shlex.split(told[0]))},
             sent,
         )
     finally:
         over.set()
-        thread.join(10)
+        thread.join(30)
 
 
 def read(address, count=None):
@@ -89,7 +90,7 @@ def test_every_byte_comes_at_its_own_stamp(session, rate):
         for one in readers:
             one.start()
         for one in readers:
-            one.join(10)
+            one.join(30)
     for number, (name, times_s) in enumerate(TIMES_S.items()):
         files = sorted((session / f"c{number}").iterdir())
         assert [shot.jpeg for shot in seen[name]] == [file.read_bytes() for file in files]
@@ -105,7 +106,7 @@ def test_it_waits_for_a_reader_and_ends_with_the_session(session):
     with playing(session, rate=4.0) as (cameras, sent):
         assert not sent
         assert len(read(cameras["cam 0"])) == 4
-        threading.Event().wait(1.5)
+        wait_for(lambda: sent)
         assert sent == [{"cam 0": 4, "käm#1": 0}]
 
 

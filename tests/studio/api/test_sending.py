@@ -59,7 +59,7 @@ def test_a_sink_that_stalls_costs_the_others_nothing():
         for frame in range(0, 1000, 100):
             send(sending, range(frame, frame + 100))
             wait_for(lambda last=frame + 99: quick.got[-1:] == [last])
-        assert time.monotonic() - begun < 5.0
+        assert time.monotonic() - begun < 15.0
         assert quick.got == list(range(1000))
         slow.go_on.set()
         wait_for(lambda: slow.got[-1:] == [999])
@@ -125,7 +125,7 @@ def test_the_end_does_not_wait_for_a_sink_that_hangs(monkeypatch):
     begun = time.monotonic()
     with Sending([("it", sink)], lines.append) as sending:
         send(sending, range(10))
-    assert time.monotonic() - begun < 2.0
+    assert time.monotonic() - begun < 10.0
     assert lines[-1].startswith("it: 0 poses sent, ")
     assert sending.counts["it"]["lost"] >= 9
     sink.go_on.set()

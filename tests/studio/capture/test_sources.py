@@ -42,7 +42,7 @@ def test_a_file_plays_at_its_own_pace(tmp_path, name, codec, form):
             time.sleep(0.01)
         rig.check()
         assert rig.counts["a"].outages == ()
-    assert 0.35 < time.monotonic() - begun < 5.0
+    assert 0.35 < time.monotonic() - begun < 20.0
     assert len(seen) == 20
     steps = np.diff([image.time_s for image in seen])
     np.testing.assert_allclose(steps, 0.02, atol=1e-5)
