@@ -73,7 +73,7 @@ def test_a_kill_at_any_step_costs_nothing(tmp_path: Path) -> None:
     assert len({kills.csv_rows(folder / "poses.csv") for folder in killed}) == SETS + 1
     for number, folder in enumerate(killed):
         rows, left = kills.kept_rows(folder), sorted(contents(folder))
-        if number % 4:
+        if number % 8:
             write(folder, True)
         else:
             again = killed_at_every_step(folder, True, kept)

@@ -18,8 +18,9 @@ QUICK = tuple(
     for subject in SUBJECTS
     if subject.words.split()[0] in ("run", "report", "evaluate", "export", "calibrate")
     and "video" not in subject.name
+    and "precise" not in subject.name
 )
-"""Kinds whose commands take no second."""
+"""Kinds whose commands take no second, and whose kernels load in no time."""
 
 
 @pytest.mark.slow
