@@ -20,7 +20,7 @@ def test_pictures_to_correction(tmp_path: Path, capsys: pytest.CaptureFixture[st
     model, out = tmp_path / "model.onnx", tmp_path / "out.csv"
     for session, words in (
         (first, "--seconds 10 --frame-hz 5 --seed 1"),
-        (second, "--seconds 9 --frame-hz 0.3 --seed 2"),
+        (second, "--seconds 9 --frame-hz 0.12 --seed 2"),
     ):
         assert main(["simulate", "-o", str(session), *words.split()]) == 0
     assert main(["run", str(first), "-o", str(run), "--no-recording"]) == 0
