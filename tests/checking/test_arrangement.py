@@ -24,7 +24,7 @@ def rig(count):
     }
 
 
-def seen(cameras, body=RAVEN, frames=12):
+def seen(cameras, body=RAVEN, frames=8):
     """Balls of each frame set, by camera."""
     out = []
     for k in range(frames):
@@ -70,7 +70,7 @@ def test_exchanged_cameras_are_named(count, body):
     (text,) = found(exchanged(seen(rig(count), body), "cam0", "cam1"), rig(count), body)
     assert text.startswith(
         "the pictures of cameras are exchanged: under cam0 are those of cam1, under cam1 are those "
-        "of cam0; with that undone all cameras agree in 6 of 6 frame sets, as it is in 0: exchange"
+        "of cam0; with that undone all cameras agree in 4 of 4 frame sets, as it is in 0: exchange"
     )
 
 
