@@ -48,7 +48,7 @@ from tests.checking.test_causes import path
 from tests.scenes import RAVEN, moved, see
 
 CAMERAS = rig(4)
-COUNT, RATE = 24, 30.0
+COUNT, RATE = 16, 30.0
 _MARK = 32  # px, of a square in the first corner
 
 
@@ -245,7 +245,7 @@ def test_a_late_clock_is_set_right(recorded, tmp_path, capsys) -> None:
 
 
 def test_a_clock_that_stepped_is_one_again(recorded, tmp_path, capsys) -> None:
-    recorded.stamp("cam1", lambda k: k / RATE + 0.1 * (k >= 13))
+    recorded.stamp("cam1", lambda k: k / RATE + 0.1 * (k >= COUNT // 2 + 1))
     out = tmp_path / "out"
     told = mended(recorded, out, capsys)
     assert told["changed"][0]["code"] == "clock-step"
@@ -381,14 +381,6 @@ def test_a_mend_that_helps_nothing_is_refused(recorded, tmp_path, capsys, monkey
 
 def test_every_cause_is_mended_or_left_to_a_person() -> None:
     assert {*MENDS} ^ {*BY_HAND} == {*Word}
-
-
-def test_the_words_are_five_lines(recorded, tmp_path, capsys) -> None:
-    recorded.state(with_pose("cam2", NUDGE))
-    assert main(["mend", str(recorded.folder), "-o", str(tmp_path / "out")]) == 0
-    heads = [line.split(":")[0] for line in capsys.readouterr().out.splitlines()]
-    told = ["what was off", "by how much", "changed", "better", "what else could be meant"]
-    assert heads[:5] == told
 
 
 def test_bad_input_is_refused_in_a_line(recorded, tmp_path, capsys) -> None:
