@@ -233,7 +233,7 @@ def test_wrong_square_size(altered, capsys) -> None:
 
 
 def test_squares_a_little_off_are_noticed_by_the_second_target(altered) -> None:
-    capture = altered("cam0", "cam2")
+    capture = altered("cam0", "cam1", "cam2", "cam3")
     capture.substitute("board.toml", r"25\.0", "24.9")
     judgement = written(capture)
     assert judgement["scale_of_markers_by_boards"] == pytest.approx(24.9 / 25, abs=3e-4)
