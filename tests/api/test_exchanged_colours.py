@@ -14,16 +14,21 @@ from measure import api
 from measure.host import Registry
 from measure.session import read_body, write_body
 from tests.simulated.catalogue import scene_catalogue
-from tests.simulated.sessions import rendered
+from tests.simulated.sessions import part_of, rendered
 
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def four() -> Path:
     """A body of blue, orange, purple and white balls."""
-    source = rendered(scene_catalogue()["four-balls"], np.arange(4) / 30)
-    return Path(shutil.copytree(source, tmp_path / "four", copy_function=shutil.copyfile))
+    return rendered(scene_catalogue()["four-balls"], np.arange(8) / 30)
+
+
+@pytest.fixture
+def session(four: Path, tmp_path: Path) -> Path:
+    """Its first pictures."""
+    return part_of(four, range(4), tmp_path / "four")
 
 
 def exchange_channels(folder: Path, cameras: str) -> None:
@@ -62,11 +67,10 @@ def test_a_body_file_is_told_from_pictures_and_from_a_ball_out_of_place(
 
 @pytest.mark.parametrize("two", [("blue", "orange"), ("purple", "white"), ("blue", "purple")])
 def test_a_run_blames_no_ball_that_sits_where_it_should(
-    tmp_path: Path, two: tuple[str, str]
+    four: Path, tmp_path: Path, two: tuple[str, str]
 ) -> None:
     """It looks where the body file puts balls, and hardly sees the two there."""
-    folder = tmp_path / "four"
-    shutil.copytree(rendered(scene_catalogue()["four-balls"], np.arange(12) / 30), folder)
+    folder = Path(shutil.copytree(four, tmp_path / "four"))
     exchange_places(folder, *two)
     without = api.RunOptions(recording=False)
     summary = api.run(folder, tmp_path / "run", api.load_profile(), Registry.discover(), without)
