@@ -75,7 +75,7 @@ def still_session() -> Path:
 
 
 def part_of(session: Path, frames: range, folder: Path) -> Path:
-    """A session of some consecutive frame sets of another, called as its folder."""
+    """A session of some frame sets of another, called as its folder."""
     folder.mkdir(parents=True)
     for name in ("body.toml", "calibration.toml", "truth.csv"):
         shutil.copy(session / name, folder)
@@ -84,11 +84,11 @@ def part_of(session: Path, frames: range, folder: Path) -> Path:
     (folder / "session.toml").write_text(named, "utf-8")
     for stamps in session.glob("cam*.csv"):
         head, *rows = stamps.read_text("utf-8").split()
-        times = [row.partition(",")[2] for row in rows[frames.start : frames.stop]]
+        times = [row.partition(",")[2] for row in rows[frames.start : frames.stop : frames.step]]
         lines = [head, *(f"{number},{time}" for number, time in enumerate(times))]
         (folder / stamps.name).write_text("\n".join(lines) + "\n", "utf-8")
         (folder / stamps.stem).mkdir()
-        pictures = sorted((session / stamps.stem).iterdir())[frames.start : frames.stop]
-        for number, picture in enumerate(pictures):
+        pictures = sorted((session / stamps.stem).iterdir())
+        for number, picture in enumerate(pictures[frames.start : frames.stop : frames.step]):
             shutil.copy(picture, folder / stamps.stem / f"{number:06d}{picture.suffix}")
     return folder
