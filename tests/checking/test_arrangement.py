@@ -82,13 +82,13 @@ def test_so_is_any_order_of_up_to_four(order):
         assert f"under {name} are those of {shown}" in text
 
 
-@pytest.mark.parametrize("names", [("cam1",), ("cam0", "cam1", "cam2", "cam3")])
 @pytest.mark.parametrize(
-    ("way", "said"),
+    ("names", "way", "said"),
     [
-        ((True, False), "mirrored"),
-        ((True, True), "upside down"),
-        ((False, True), "mirrored top to bottom"),
+        (("cam1",), (True, False), "mirrored"),
+        (("cam0", "cam1", "cam2", "cam3"), (True, False), "mirrored"),
+        (("cam1",), (True, True), "upside down"),
+        (("cam0", "cam1", "cam2", "cam3"), (False, True), "mirrored top to bottom"),
     ],
 )
 def test_pictures_turned_over_are_named(names, way, said):
