@@ -75,7 +75,7 @@ def test_clients_that_come_back_receive_again(run, registry):
     """They go away in the middle, and others come."""
     wheres, lines = [address(scheme) for scheme in CLIENTS if scheme != "udp"], []
     over, ends = threading.Event(), []
-    options = PlayOptions(loop=True, send=tuple(wheres), note=lines.append)
+    options = PlayOptions(loop=True, send=tuple(wheres), on_note=lines.append)
     thread = threading.Thread(target=lambda: ends.append(play(run, registry, options, over)))
     thread.start()
     try:
