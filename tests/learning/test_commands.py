@@ -21,7 +21,8 @@ def test_train_estimate_and_ablate(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model, out = tmp_path / "model.onnx", tmp_path / "out.parquet"
-    assert main(["train", str(data), "-o", str(model), "--estimator", "ridge", "--json"]) == 0
+    words = ["train", str(data), "-o", str(model), "--estimator", "ridge", "--json"]
+    assert main([*words, "--set", "play_widths=4"]) == 0
     scores = json.loads(capsys.readouterr().out)["test"]
     assert scores["rms_change"] < -0.6
     card = (tmp_path / "model.card.md").read_text()

@@ -78,7 +78,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Split, Path]:
     for name, part in vars(parts).items():
         files.write_dataset(folder / f"{name}.parquet", part, [], "simulated")
         words += [] if name == "train" else [f"--{name}", str(folder / f"{name}.parquet")]
-    assert main([*words, "--estimator", "ridge"]) == 0
+    assert main([*words, "--estimator", "ridge", "--set", "play_widths=3"]) == 0
     return parts, folder / "m.onnx"
 
 
@@ -102,7 +102,7 @@ def test_rotations_of_restarts_never_seen_are_corrected(trained: tuple[Split, Pa
             part = files.read_dataset(model.with_name(f"{name}.parquet"))
             noise = replace(part.turns, vectors_rad=rng.normal(0, 0.02, (len(part), 3)))
             other.append(replace(part, turns=noise if said else None))
-        fit = Registry.discover().build(Estimator, "ridge", {})
+        fit = Registry.discover().build(Estimator, "ridge", {"play_widths": 3})
         fit.fit(other[0], other[1], seed=0, report=quiet)
         assert [line.rpartition(": ")[2] for line in fit.findings] == said
         plain = fit.model.predict(other[2])
