@@ -327,15 +327,6 @@ def test_two_faults_are_mended_one_after_the_other(recorded, tmp_path, capsys) -
     assert told["after"]["residual_sd"] < 0.8
 
 
-def spread(factor: float) -> dict[str, Camera]:
-    """All cameras further from the world's origin."""
-    out = {}
-    for name, camera in CAMERAS.items():
-        pose = camera.world_from_camera
-        out[name] = moved(camera, RigidTransform(pose.rotation, factor * pose.translation))
-    return out
-
-
 def refused(recorded: Recorded, out: Path, capsys: pytest.CaptureFixture[str]) -> str:
     assert main(["mend", str(recorded.folder), "-o", str(out)]) == 3
     assert not out.exists()

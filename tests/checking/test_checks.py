@@ -36,7 +36,6 @@ from tests.scenes import RAVEN, TARGET, moved, ring, see
 
 CAMERAS = ring()
 RIG = list(CAMERAS.values())
-PHASES = np.array([0.0, 0.008, 0.016, 0.024])
 
 
 def path(time_s):

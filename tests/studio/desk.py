@@ -98,15 +98,6 @@ def press(page: Chromium, text: str) -> None:
     count(page)
 
 
-def unfold(page: Chromium, title: str) -> None:
-    """Open what is folded away under a title that holds this text, or close it; not counted."""
-    head = f"""[...document.querySelectorAll('.details .q-item')]
-        .find(item => item.innerText.includes({title!r}))"""
-    page.wait_for(f"!!{head}", 20)
-    page.evaluate(f"{head}.click()")
-    page.idle(1.0)
-
-
 def choose(page: Chromium, label: str, text: str) -> None:
     """Choose in the select with this label what holds this text."""
     field = f"""[...document.querySelectorAll('.q-select')]

@@ -291,36 +291,25 @@ def test_refused_recordings_print_one_line_and_leave_nothing(
 
 
 @pytest.mark.parametrize(
-    ("more", "told"),
+    ("command", "out", "more", "told"),
     [
-        (("--seconds", "0"), "--seconds 0: expected a time above 0"),
-        (("--size", "big"), "--size big: expected WIDTHxHEIGHT"),
-        (("--rate", "0"), "--rate 0: expected pictures a second, above 0"),
-        (("--rate", "30"), "--control and --lock are for cameras of this machine: none is given"),
+        ("record", "s", "--seconds 0", "--seconds 0: expected a time above 0"),
+        ("record", "s", "--size big", "--size big: expected WIDTHxHEIGHT"),
+        ("record", "s", "--rate 0", "--rate 0: expected pictures a second, above 0"),
+        ("record", "s", "--rate 30", "and --lock are for cameras of this machine: none is given"),
+        ("live", "kept", "--record kept", "a recording needs a folder of its own"),
+        ("live", "kept/run", "--record kept", "a recording needs a folder of its own"),
+        ("live", "kept/../kept", "--record kept", "a recording needs a folder of its own"),
+        ("live", "r", "--send nowhere", "no sink is called 'nowhere'; --send takes "),
+        ("live", "r", "--marks udp:5006", "--marks udp:5006: --marks takes udp://HOST:PORT"),
     ],
 )
-def test_settings_that_are_none(session, tmp_path, capsys, more, told):
-    command = words("record", session, {"cam0": "http://127.0.0.1:1/"}, tmp_path / "s", *more)
-    assert main(command) == 2
-    assert told in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("out", "more", "told"),
-    [
-        ("kept", ("--record", "kept"), "a recording needs a folder of its own"),
-        ("kept/run", ("--record", "kept"), "a recording needs a folder of its own"),
-        ("kept/../kept", ("--record", "kept"), "a recording needs a folder of its own"),
-        ("r", ("--send", "nowhere"), "--send nowhere: no sink is called 'nowhere'; --send takes "),
-        ("r", ("--marks", "udp:5006"), "--marks udp:5006: --marks takes udp://HOST:PORT"),
-    ],
-)
-def test_what_cannot_be_measured_is_refused_first(
-    session, tmp_path, capsys, monkeypatch, out, more, told
+def test_what_cannot_be_done_is_refused_first(
+    session, tmp_path, capsys, monkeypatch, command, out, more, told
 ):
     monkeypatch.chdir(tmp_path)
     addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
-    assert main(words("live", session, addresses, out, *more)) == 2
+    assert main(words(command, session, addresses, out, *more.split())) == 2
     assert told in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
