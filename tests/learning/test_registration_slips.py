@@ -21,7 +21,7 @@ MIRROR = np.diag([-1.0, 1, 1])
 
 @pytest.fixture(scope="module")
 def arm() -> Arm:
-    return recorded(3, seconds=40.0, frame_hz=8.0)
+    return recorded(3, seconds=40.0, frame_hz=5.0)
 
 
 def moved(track: PoseTrack, places: np.ndarray, turns: np.ndarray | None = None) -> PoseTrack:
