@@ -98,19 +98,27 @@ def session() -> Path:
     return rendered(replace(scene.scene, trajectory=Still(scene.world_from_body)), [0.0, 0.1])
 
 
-def test_plugins_measure_a_recording(environment: Environment, session, tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def run(environment: Environment, session, tmp_path_factory) -> Path:
+    """The recording, measured by others' stages."""
+    out = tmp_path_factory.mktemp("measured") / "run"
     stages = ("--triangulator", "nearest", "--solver", "rigid", "--profile", "steady.toml")
-    # Compiling hot loops once more, in another place, would cost more than running them as Python.
-    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     (environment.folder / "steady.toml").write_text(STEADY)
-    done = environment.measure(
-        *("run", str(session), "--out", str(tmp_path / "run"), *stages),
-        *("--detector", "blob", "--set", "detector.roundness=0.7", "--no-recording", "--json"),
-        *WITHOUT_CLASH,
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        # Compiling hot loops once more, in another place, costs more than running them as Python.
+        patch.setenv("NUMBA_DISABLE_JIT", "1")
+        done = environment.measure(
+            *("run", str(session), "--out", str(out), *stages),
+            *("--detector", "blob", "--set", "detector.roundness=0.7", "--no-recording", "--json"),
+            *WITHOUT_CLASH,
+        )
     assert done.returncode == 0, done.stderr
     json.loads(done.stdout)
-    header, *rows = (tmp_path / "run" / "poses.csv").read_text().splitlines()
+    return out
+
+
+def test_plugins_measure_a_recording(run):
+    header, *rows = (run / "poses.csv").read_text().splitlines()
     assert len(rows) == 2
     names = header.split(",")
     for row in rows:
@@ -119,19 +127,7 @@ def test_plugins_measure_a_recording(environment: Environment, session, tmp_path
         # Patches are no outlines: half a pixel of bias and partly hidden balls cost about 1 mm.
         off = np.linalg.norm(position - example().world_from_body.translation)
         assert off < 3, f"{off:.2f} mm off"
-    assert "acme-blob" in (tmp_path / "run" / "run.toml").read_text()
-
-
-@pytest.fixture(scope="module")
-def run(environment: Environment, session, tmp_path_factory) -> Path:
-    """The recording, measured by the built-in stages alone."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("NUMBA_DISABLE_JIT", "1")
-        out = tmp_path_factory.mktemp("measured") / "run"
-        words = ("run", str(session), "-o", str(out), "--profile", "paper")
-        done = environment.measure(*words, "--no-recording", *WITHOUT_CLASH)
-    assert done.returncode == 0, done.stderr
-    return out
+    assert "acme-blob" in (run / "run.toml").read_text()
 
 
 def test_a_command_is_listed_and_runs(environment: Environment, run):
