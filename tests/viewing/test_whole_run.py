@@ -25,8 +25,8 @@ from measure.viewing.viewer import viewer_program
 from measure_lab import api as lab
 from tests.viewing.reading import column, read_recording
 
-SETS = 10
-REPEATS = 10
+SETS = 8
+REPEATS = 6
 DARK = "cam3"
 CAMERAS = ("cam0", "cam1", "cam2", DARK)
 BALLS = ("green", "yellow", "red")
