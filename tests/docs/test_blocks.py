@@ -87,7 +87,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that the tutorial's first command makes, with fewer frame sets."""
     folder = tmp_path_factory.mktemp("docs")
     with contextlib.chdir(folder):
-        _run(f"{DEMO} --frames 10")
+        _run(f"{DEMO} --frames 5")
     return folder / "triball-demo"
 
 
