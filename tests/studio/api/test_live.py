@@ -173,7 +173,8 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
 def test_a_request_to_end_ends_it_as_it_should_end(session, tmp_path):
     out = tmp_path / "run"
     with serving(served(session)) as addresses:
-        command = words("live", session, addresses, out, "--no-recording", "--images", "none")
+        how = ("--no-recording", "--images", "none", "--profile", "paper")
+        command = words("live", session, addresses, out, *how)
         process = subprocess.Popen(
             [sys.executable, "-m", "measure", *command],
             stdout=subprocess.PIPE,
