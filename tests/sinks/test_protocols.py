@@ -41,10 +41,7 @@ def played(run, registry):
     poses = [place for places in stored(run).values() for place in places]
     known = [place for place in poses if place is not None]
     with ExitStack() as stack:
-        received = {
-            scheme: stack.enter_context(receiving(where, goes_on=True))
-            for scheme, where in wheres.items()
-        }
+        received = {s: stack.enter_context(receiving(w, goes_on=True)) for s, w in wheres.items()}
         begun_s, send = time.time(), tuple(wheres.values())
         end = play(run, registry, PlayOptions(wait_s=3.0, send=send, on_note=lines.append))
         between_s = begun_s, time.time()
