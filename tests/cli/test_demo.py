@@ -8,9 +8,7 @@ from importlib import import_module
 import cv2
 import pytest
 
-from measure.api import render_demo
 from measure.cli import main
-from measure.session import open_session
 
 
 @pytest.mark.slow
@@ -45,9 +43,3 @@ def test_demo_overwrites_nothing_but_a_demo(tmp_path, capsys) -> None:
     assert "holds no session/session.toml: give a new folder" in capsys.readouterr().err
     assert main(["demo", "-o", str(tmp_path / "new"), "--frames", "0"]) == 2
     assert "at least one" in capsys.readouterr().err
-
-
-def test_demo_session_has_four_cameras_and_truth(tmp_path) -> None:
-    session = open_session(render_demo(tmp_path / "demo", 1))
-    assert [camera.name for camera in session.cameras] == ["cam0", "cam1", "cam2", "cam3"]
-    assert session.truth_path is not None
