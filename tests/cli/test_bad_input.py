@@ -116,7 +116,7 @@ def test_a_torn_picture_is_named_and_measured_without(recording: Recording, caps
         (recording.path / camera / "000002.jpg").write_bytes(jpeg(40)[:-30])
     assert main([*run_words(recording)]) == 0
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    assert "1 x damaged or cut off, and left out: 000002.jpg of cam1, 000002.jpg of cam2" in lines
+    assert "1 x damaged or cut off, and left out: 000002.jpg of cam1, cam2" in lines
 
 
 def test_a_missing_picture_is_noted_and_measured_without(recording: Recording, capsys) -> None:
