@@ -67,11 +67,12 @@ Tables, JSON and the studio carry codes. No program need read a sentence.
 
 `check`, `run`, `live` and `mend` name causes, such as `clock` or `moved`:
 [codes, what they mean, what mends them](../explanation/what_can_go_wrong.md#causes-that-are-named).
-All other findings, of `calibrate` too, have their topic as code.
+All other findings, of `calibrate` too, stand below, or have their topic as code.
 
-## Poses
+## Poses, recordings and calibrations
 
-Why a pose is missing, doubtful (status `flagged`), or made without some pictures. `doubts` of
+Why a pose is missing, doubtful (status `flagged`), or made without some pictures; then what
+`check`, `run` and `calibrate` find beside those causes. `doubts` of
 [`poses.parquet`](../files.md#columns), of `summary.json` and of what is sent as JSON hold the code
 and, by the names in braces, what varies: names of cameras and balls, and numbers, whose names end
 in their unit. Where several are counted together, a number is a range `[lowest, highest]`, and all

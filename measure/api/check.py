@@ -47,7 +47,7 @@ from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.measuring.image_faults import BallSteps, SmearedImages, WovenImages
-from measure.model import Detection
+from measure.model import Detection, Doubt
 from measure.processes import Progress, quiet
 from measure.session import Session, holds_jpeg, open_session, read_calibration, session_lacks
 
@@ -128,7 +128,7 @@ def check(
 def _concluded(session: Session, look: Look, findings: list[Finding]) -> SessionCheck:
     if session.other_bodies:
         others = ", ".join(body.name for body in session.other_bodies)
-        alone = f"checked with '{session.body.name}' alone; with --body FILE also {others}"
+        alone = Doubt("checked-alone", name=session.body.name, others=others)
         findings.append(Finding(Level.NOTE, "body", alone))
     motion, searched, causes = look.motion, look.searched, look.causes
     if causes and causes[0].cause in _FIRST_OF_ALL:

@@ -10,6 +10,7 @@ from measure import checking, session
 from measure.checking.causes import Word
 from measure.checking.pictures import stamp_causes, without_step
 from measure.errors import SessionError
+from measure.model import Doubt
 from measure.processes import Progress
 
 
@@ -22,16 +23,16 @@ def check_files(
         notes = [note for stream in streams.values() for note in stream.notes]
         findings = file_findings(streams, notes, lambda: progress(next(done), total))
         if (apart := clocks_apart(streams)) is not None:
-            findings.append(checking.Finding(checking.Level.WRONG, "clock", str(apart)))
+            findings.append(
+                checking.Finding(checking.Level.WRONG, "clock", str(apart), code="clocks-apart")
+            )
         for name, one in streams.items():
             again = one.repeated()
             if again is not None:
                 said = checking.repeated_causes(name, again, len(one) - 1, one.times_s, one.frames)
                 findings += [cause.finding for cause in said]
-        text = (
-            "balls, clocks, places of cameras and accuracy were not checked: that needs "
-            f"{' and '.join(f'--{name} FILE' for name in lacking)}"
-        )
+        needed = " and ".join(f"--{name} FILE" for name in lacking)
+        text = Doubt("half-checked", needed=needed)
         findings.append(checking.Finding(checking.Level.NOTE, "body", text))
         pairs = len(session.pair_nearest([stream.times_s for stream in streams.values()]).times_s)
         return path.resolve().name, pairs, checking.worst_first(findings)
@@ -45,12 +46,14 @@ def file_findings(
     jpeg = [stream for stream in streams.values() if session.holds_jpeg(stream)]
     for name, frames in session.damaged_frames(jpeg, step).items():
         findings += checking.damage_findings(name, frames, len(streams[name]))
-    findings += [checking.Finding(checking.Level.NOTE, "frames", note) for note in notes]
+    findings += [
+        checking.Finding(checking.Level.NOTE, "frames", note, code="opened") for note in notes
+    ]
     pairing = session.pair_nearest([stream.times_s for stream in streams.values()])
     seldom = session.seldom_paired(list(streams), [len(one) for one in streams.values()], pairing)
     known = {cause.of: cause for cause in stamp_causes({n: s.times_s for n, s in streams.items()})}
     findings += [
-        checking.Finding(checking.Level.WRONG, "clock", text)
+        checking.Finding(checking.Level.WRONG, "clock", text, code="seldom-paired")
         for name, text in seldom.items()
         if name not in known
     ]

@@ -185,11 +185,11 @@ def made_from(
         session_digest=session.digest(),
         session_name=session.name,
         notes=(
-            *noted("frames", session.notes),
+            *noted("frames", session.notes, code="opened"),
             *(cause.finding for cause in causes),
-            *noted("clock", session.clock_notes(blamed)),
+            *noted("clock", session.clock_notes(blamed), code="stamps"),
             *_without_color(session),
-            *noted("cameras", [refused] if keep != "off" else []),
+            *noted("cameras", [refused] if keep != "off" else [], code="not-followed"),
         ),
         scale_sd=session.scale_sd,
         keep=keep,
@@ -208,9 +208,9 @@ def _writer(session: Session, out: Path, origin: Provenance, options: RunOptions
     )
 
 
-def noted(topic: str, texts: Iterable[str]) -> tuple[Finding, ...]:
+def noted(topic: str, texts: Iterable[str], code: str = "") -> tuple[Finding, ...]:
     """Texts as notes, but for empty ones."""
-    return tuple(Finding(Level.NOTE, topic, text) for text in texts if text)
+    return tuple(Finding(Level.NOTE, topic, text, code=code) for text in texts if text)
 
 
 def _without_color(session: Session) -> list[Finding]:

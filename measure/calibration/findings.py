@@ -15,7 +15,7 @@ from measure.checking import Finding, Level
 from measure.errors import DegenerateGeometryError
 from measure.geometry import Rays, nearest_point
 from measure.limits import CLEAR_RATIO
-from measure.model import Camera
+from measure.model import Camera, Doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def mark_findings(rig: RigCalibration) -> list[Finding]:
             findings += residual_findings(camera.name, residuals, worth, names)
         for name, reason in sorted(found.doubtful.items()) if found else ():
             if name not in names:
-                text = f"marker {name} left out: {reason}"
+                text = Doubt("marker-left-out", marker=name, reason=reason)
                 findings.append(Finding(Level.NOTE, "marks", text, camera.name))
     return findings
 
@@ -100,7 +100,7 @@ def zoom_findings(zooms: Mapping[str, float]) -> list[Finding]:
         return []
     zoom = float(np.median(list(zooms.values())))
     text = f"{', '.join(zooms)}: {ZOOMED.format(zoom=zoom)}: {ZOOMED_CURE}"
-    return [Finding(Level.WRONG, "lens", text)]
+    return [Finding(Level.WRONG, "lens", text, code="zoomed")]
 
 
 def disagreement_findings(rig: RigCalibration) -> list[Finding]:
@@ -116,15 +116,10 @@ def disagreement_findings(rig: RigCalibration) -> list[Finding]:
         usual = float(np.median(others)) if others else 0.0
         if apart > max(_NOTED_DISAGREEMENT_MM, CLEAR_RATIO * usual):
             than = f" (the others by {usual:.2f} mm)" if others else ""
-            text = (
-                f"board and markers disagree by {apart:.2f} mm{than}: the camera or the board "
-                "moved between the two pictures, or the stated board pose is wrong; take both again"
-            )
+            text = Doubt("moved-between", apart_mm=apart, than=than)
             findings.append(Finding(Level.WRONG, "boards", text, name))
         elif apart > _NOTED_DISAGREEMENT_MM:
-            text = (
-                f"board and markers disagree by {apart:.2f} mm: one of the two was not held exactly"
-            )
+            text = Doubt("not-held-exactly", apart_mm=apart)
             findings.append(Finding(Level.WEAK, "boards", text, name))
     return findings
 
@@ -133,24 +128,16 @@ def board_findings(rig: RigCalibration) -> list[Finding]:
     """Lines on a board that has other numbers, was stretched or is not flat."""
     findings = list[Finding]()
     if rig.first_marker is not None:
-        text = (
-            f"the board's markers begin with number {rig.first_marker}, and so it is read: "
-            f"first_marker = {rig.first_marker} in its file says it"
-        )
+        text = Doubt("first-marker", number=str(rig.first_marker))
         findings.append(Finding(Level.NOTE, "boards", text))
     if rig.shape is None:
         return findings
     (share, *bows), (sd, *bow_sds) = rig.shape.seen, rig.shape.sds
     if share:
         long, short = ("y", "x") if share > 0 else ("x", "y")
-        text = (
-            f"the board's squares are {abs(share):.2%} +- {sd:.2%} longer along {long} "
-            f"than along {short} (x is along the first of its numbers of corners): a printer "
-            "stretches paper one way. That is allowed for, but not which of the two is as stated: "
-            f"all lengths may be off by {abs(share) / 2:.2%}; measure both sides and state them as "
-            "square_mm = [along x, along y]"
-        )
-        level = Level.WRONG if abs(share) > MAX_STRETCH else Level.WEAK
+        share, half = abs(share), abs(share) / 2
+        text = Doubt("stretched-board", share=share, sd=sd, long=long, short=short, half=half)
+        level = Level.WRONG if share > MAX_STRETCH else Level.WEAK
         findings.append(Finding(level, "boards", text))
     bowed = [
         f"{abs(mm):.2f} +- {mm_sd:.2f} mm along {axis}"
@@ -158,11 +145,7 @@ def board_findings(rig: RigCalibration) -> list[Finding]:
         if mm
     ]
     if bowed:
-        text = (
-            f"the board is not flat: it is bowed by {' and '.join(bowed)} (x is along the first of "
-            "its numbers of corners), in the pictures of all cameras. That is not allowed for: "
-            "poses are off by several times what is expected; glue it to glass or aluminium"
-        )
+        text = Doubt("bowed-board", bowed=" and ".join(bowed))
         level = Level.WRONG if np.max(np.abs(bows)) > _MAX_BOW_MM else Level.WEAK
         findings.append(Finding(level, "boards", text))
     return findings
@@ -173,33 +156,26 @@ def lens_findings(rig: RigCalibration) -> list[Finding]:
     findings = list[Finding]()
     for name, lens in rig.lenses.items():
         if lens.views.covered_share < _MIN_COVERED_SHARE:
-            text = (
-                f"the board was shown in {lens.views.covered_share:.0%} of the image only; the "
-                "lens is extrapolated elsewhere"
-            )
+            text = Doubt("lens-extrapolated", share=lens.views.covered_share)
             findings.append(Finding(Level.WEAK, "lens", text, name))
         if lens.views.mirrored:
-            text = (
-                f"{lens.views.mirrored} pictures show the board mirrored, or its back; if the "
-                "camera is in mirror (selfie) mode switch that off"
-            )
+            text = Doubt("board-mirrored", pictures=lens.views.mirrored)
             findings.append(Finding(Level.WEAK, "lens", text, name))
         if copies := sum(view.twice for view in lens.views.views):
-            text = (
-                f"two copies of the board are in view in {copies} of {len(lens.views.views)} "
-                "pictures, and the nearer one was taken: take the other away"
-            )
+            text = Doubt("two-boards", pictures=copies, looked=len(lens.views.views))
             findings.append(Finding(Level.WEAK, "boards", text, name))
         kinds = defaultdict[str, list[str]](list)
         for picture, (kind, _) in lens.views.left_out.items():
             kinds[kind].append(picture)
         for kind, pictures in kinds.items():
             first, much = pictures[0], lens.views.left_out[pictures[0]][1]
-            text = f"{first} left out: {kind}" + (f" ({much})" if much else "")
+            which = f"{first} left out: {kind}" + (f" ({much})" if much else "")
             if len(pictures) > 1:
-                text = f"{len(pictures)} pictures left out, {kind}; first {first}"
-            findings.append(Finding(Level.NOTE, "lens", text, name))
-        findings += [Finding(Level.NOTE, "lens", reason, name) for reason in lens.reasons]
+                which = f"{len(pictures)} pictures left out, {kind}; first {first}"
+            findings.append(Finding(Level.NOTE, "lens", which, name, code="pictures-left-out"))
+        findings += [
+            Finding(Level.NOTE, "lens", one, name, code="lens-model") for one in lens.reasons
+        ]
     return findings
 
 
@@ -207,25 +183,20 @@ def plausibility(
     cameras: tuple[Camera, ...], workspace: Workspace, floor_z_mm: float | None
 ) -> list[Finding]:
     """Cameras under the floor, looking away, or standing in one another."""
-    wrong: list[tuple[str, str]] = []
+    wrong: list[tuple[str, Doubt]] = []
     for camera in cameras:
         if floor_z_mm is not None and camera.center[2] < floor_z_mm:
-            text = (
-                f"it stands {floor_z_mm - camera.center[2]:.0f} mm under the floor "
-                f"(z = {floor_z_mm:.0f} mm): a mirrored board or a wrong world frame"
-            )
+            under_mm = floor_z_mm - camera.center[2]
+            text = Doubt("under-the-floor", under_mm=under_mm, floor_mm=floor_z_mm)
             wrong.append((camera.name, text))
         image = camera.project(workspace.center[None])
         if not bool(camera.intrinsics.contains(image)[0]):
-            wrong.append((camera.name, "it does not see the middle of the workspace"))
+            wrong.append((camera.name, Doubt("looks-away")))
     for i, a in enumerate(cameras):
         for b in cameras[i + 1 :]:
             apart = float(np.linalg.norm(a.center - b.center))
             if apart < _SAME_PLACE_MM:
-                text = (
-                    f"it stands {apart:.1f} mm from camera {a.name}: one camera's pictures used "
-                    "twice?"
-                )
+                text = Doubt("cameras-in-one-place", apart_mm=apart, other=a.name)
                 wrong.append((b.name, text))
     return [Finding(Level.WRONG, "cameras", text, name) for name, text in wrong]
 
@@ -238,15 +209,12 @@ def residual_findings(
     rms = float(np.sqrt(np.mean(lengths**2)))
     if rms > _MAX_MARK_PX or rms * mm_per_px > _MAX_MARK_MM:
         worst = names[int(np.argmax(lengths))]
-        text = (
-            f"its marks miss by {rms:.1f} px RMS ({rms * mm_per_px:.2f} mm; worst {worst} "
-            f"{lengths.max():.1f} px): too large for sub-mm; mark again, check the marker "
-            "places and the lens"
-        )
+        rms_mm, worst_px = rms * mm_per_px, lengths.max()
+        text = Doubt("marks-miss", marker=worst, worst_px=worst_px, rms_px=rms, rms_mm=rms_mm)
         return [Finding(Level.WRONG, "marks", text, name)]
     if len(lengths) and lengths.max() > 5 * max(float(np.median(lengths)), 0.2):
         worst = names[int(np.argmax(lengths))]
-        text = f"mark {worst} misses by {lengths.max():.1f} px: look again"
+        text = Doubt("mark-misses", marker=worst, off_px=lengths.max())
         return [Finding(Level.WEAK, "marks", text, name)]
     return []
 
@@ -258,8 +226,4 @@ def accuracy_findings(position_sd_mm: Floats) -> list[Finding]:
         raise DegenerateGeometryError("the cameras do not determine the body's pose")
     if worst <= SUB_MM_SD_MM:
         return []
-    text = (
-        f"this calibration does not support sub-mm: expected body position error {worst:.2f} mm "
-        "(one standard deviation) in the worst part of the workspace"
-    )
-    return [Finding(Level.WRONG, "accuracy", text)]
+    return [Finding(Level.WRONG, "accuracy", Doubt("inaccurate", sd_mm=worst))]

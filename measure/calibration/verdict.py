@@ -31,7 +31,7 @@ from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import Rays, RigidTransform, nearest_point
 from measure.limits import SIGNIFICANT_SIGMAS
-from measure.model import Body, Camera, MarkerObservation, RigObservations
+from measure.model import Body, Camera, Doubt, MarkerObservation, RigObservations
 from measure.session import JOINT_COVARIANCE
 
 
@@ -150,11 +150,7 @@ def _scale(rig: RigCalibration) -> tuple[float, list[Finding]]:
     _, misfit = Rotation.align_vectors(a, scale * b)
     sd = float(misfit / np.sqrt((3 * len(ids) - 7) * np.sum(b**2)))
     if abs(scale - 1) > max(SIGNIFICANT_SIGMAS * sd, MAX_STRETCH):
-        text = (
-            "boards and markers disagree about size: by the boards the marker field is "
-            f"{scale:.4f} (+- {sd:.4f}) times its stated size; measure a printed square and the "
-            "posts again"
-        )
+        text = Doubt("sizes-disagree", times=scale, sd=sd)
         return scale, [Finding(Level.WEAK, "boards", text)]
     return scale, []
 

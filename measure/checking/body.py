@@ -21,7 +21,7 @@ from measure.geometry.transform import align_points
 from measure.limits import SIGNIFICANT_SIGMAS
 from measure.measuring.body_size import OutlineGrowth
 from measure.measuring.pose_hypotheses import by_ball, intersect_rays
-from measure.model import Body, Camera, Detection
+from measure.model import Body, Camera, Detection, Doubt
 
 _MAX_PLANAR_MM = 1.0
 _SAME_DISTANCE_MM = 1.0
@@ -209,11 +209,7 @@ def twin_findings(body: Body) -> list[Finding]:
         return []
     _, exchanged, angle = min(found)
     others = f" (and {len(found) - 1} more such exchanges)" if len(found) > 1 else ""
-    text = (
-        f"with {', '.join(exchanged[:-1])} and {exchanged[-1]} exchanged in the body file its pose "
-        f"would be turned by {angle:.0f} deg{others}, and no picture could tell: look at the body "
-        "whether each colour sits where the file says"
-    )
+    text = Doubt("twin-colours", balls=exchanged, angle_deg=angle, others=others)
     return [Finding(Level.NOTE, "body", text)]
 
 

@@ -16,7 +16,7 @@ from measure.checking.finding import Finding, Level
 from measure.checking.search import SearchSample
 from measure.estimation.expected_accuracy import noise_sd, tolerance_sd
 from measure.geometry import RigidTransform
-from measure.model import Body, Camera
+from measure.model import Body, Camera, Doubt
 from measure.model.doubts import counted
 
 _MIN_SEEN_SHARE = 0.5
@@ -60,12 +60,11 @@ def coverage_findings(
         common, *_ = counted([s.reason] for s in samples if s.world_from_body is None)
         fits = any(d.agrees and d.frames > len(samples) / 2 for d in distances)
         by_chance = len(with_pose) <= _MAX_CHANCE_SHARE * len(samples) and not fits
-        why = (
-            "check the calibration, and the radii in the body file"
-            if by_chance
-            else "as cameras and body agree elsewhere, balls are hidden there, or out of view"
-        )
-        text = f"no pose in {lost} of {len(samples)} frame sets looked at, mostly: {common}; {why}"
+        looked = len(samples)
+        if by_chance:
+            text = Doubt("found-by-chance", lost=lost, looked=looked, reason=common)
+        else:
+            text = Doubt("found-seldom", lost=lost, looked=looked, reason=common)
         findings.append(Finding(Level.WRONG if by_chance else Level.WEAK, "balls", text))
     disagreeing = {cause.of for cause in disagreeing_causes(samples)}
     flagged = [s.flags[0] for s in samples if s.flags]  # a second body may be in view
@@ -74,25 +73,21 @@ def coverage_findings(
     level = Level.WRONG if mostly else Level.WEAK
     for found, bad in ((flagged, level), (reflected, Level.NOTE)):
         if len(found) > _MAX_CHANCE_SHARE * len(samples):
-            text = f"{found[0]} (so in {len(found)} of {len(samples)} frame sets looked at)"
-            findings.append(Finding(bad, "balls", text))
+            many = f"{found[0]} (so in {len(found)} of {len(samples)} frame sets looked at)"
+            findings.append(Finding(bad, "balls", many, code=Doubt.of(found[0]).code))
     for row in table:
         if row.camera not in disagreeing and row.seen < _MIN_SEEN_SHARE * row.expected:
             why = "hidden, or its colour does not match"
             if row.hidden > (row.expected - row.seen) / 2:
                 why = f"another ball of the body is in front of it in {row.hidden}"
-            text = (
-                f"{row.camera} sees ball {row.ball} in {row.seen} of {row.expected} frame sets "
-                f"in which it lies in its picture: {why}"
+            camera, ball, seen = row.camera, row.ball, row.seen
+            text = Doubt(
+                "ball-unseen", camera=camera, ball=ball, seen=seen, expected=row.expected, why=why
             )
             findings.append(Finding(Level.NOTE, "coverage", text))
     findings += _hiding(with_pose, body, cameras)
     if with_pose and (angle := _widest_angle(with_pose, cameras)) < _MIN_ANGLE_DEG:
-        text = (
-            f"all cameras look along nearly the same line ({angle:.0f} deg apart at most): "
-            "distances will be poor; spread them out"
-        )
-        findings.append(Finding(Level.WEAK, "coverage", text))
+        findings.append(Finding(Level.WEAK, "coverage", Doubt("cameras-in-line", angle_deg=angle)))
     return table, findings
 
 
@@ -152,10 +147,9 @@ def _hiding(
     poses = [s.world_from_body for s in samples if s.world_from_body is not None]
     if not poses or (now := hidden_share(poses, body, cameras)) <= HIDDEN_SHARE:
         return
-    text = f"balls are partly behind another one of the body in {now:.0%} of their views"
-    if longer := longer_arms(poses, body, cameras):
-        text += f": {longer}; `measure target BODY --run RUN` draws it"
-    yield Finding(Level.NOTE, "body", text)
+    longer = longer_arms(poses, body, cameras)
+    cure = f": {longer}; `measure target BODY --run RUN` draws it" if longer else ""
+    yield Finding(Level.NOTE, "body", Doubt("balls-hidden", share=now, cure=cure))
 
 
 def disagreeing_causes(samples: Sequence[SearchSample]) -> list[Cause]:

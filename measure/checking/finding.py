@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from measure.model.doubts import Doubt
+
 
 class Level(StrEnum):
     """How bad it is."""
@@ -23,9 +25,9 @@ class Finding:
     # "balls", "body", "calibration", "cameras", "clock", "colour", "coverage", "exposure",
     # "frames", "poses"; of a calibration "accuracy", "boards", "cameras", "lens", "marks".
     topic: str
-    text: str  # what, where, how much, and what to do
+    text: str  # what, where, how much, and what to do; a `Doubt` has its code
     camera: str = ""  # the camera it concerns, where `text` does not name it; empty for all
-    # of a cause: its word, as on the page of what can go wrong; else the topic.
+    # of a cause: its word, as on the page of what can go wrong; else the text's, or the topic.
     code: str = ""
     subject: str = ""  # the cameras or balls concerned, parted by ", ", or "all"
     estimate: float | None = None  # how much, in `unit`
@@ -36,7 +38,8 @@ class Finding:
     remedy: str = ""  # what mends it, where `text` does not say it
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "code", self.code or self.topic)
+        code = self.text.code if isinstance(self.text, Doubt) else self.topic
+        object.__setattr__(self, "code", self.code or code)
         object.__setattr__(self, "subject", self.subject or self.camera)
 
     def __str__(self) -> str:

@@ -9,7 +9,7 @@ from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.checking.finding import Finding, Level
 from measure.measuring.body_size import OutlineGrowth, outline_growth, seen_balls
 from measure.measuring.measurement import Measurement, Status
-from measure.model import Body, Camera
+from measure.model import Body, Camera, Doubt
 from measure.model.doubts import counted
 
 _MAX_FLAGGED_SHARE = 0.2
@@ -53,8 +53,6 @@ def flag_findings(motion: MotionCheck) -> list[Finding]:
     flagged = sum(count for _, count in motion.flags)
     if not flagged > _MAX_FLAGGED_SHARE * motion.measured:
         return []
-    text = (
-        f"{flagged} of {motion.measured} poses measured in a row are flagged, "
-        f"first of all: {motion.flags[0][0]}"
-    )
+    first, measured = motion.flags[0][0], motion.measured
+    text = Doubt("poses-flagged", flagged=flagged, measured=measured, first=first)
     return [Finding(Level.WEAK, "poses", text)]

@@ -113,7 +113,9 @@ def repeated_causes(
 def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
     """Dropped frames, uneven stamps (n,), which increase, and wrong units of one camera."""
     if len(times_s) < 3:
-        return [Finding(Level.WEAK, "frames", f"{camera}: only {len(times_s)} frames")]
+        return [
+            Finding(Level.WEAK, "frames", Doubt("few-frames", camera=camera, count=len(times_s)))
+        ]
     steps = np.diff(times_s)
     period = float(np.median(steps))
     gaps = np.nonzero(steps > GAP_PERIODS * period)[0]
@@ -121,18 +123,21 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
     notes = StampErrors.of(times_s).notes
     if burst_causes({camera: times_s}):
         return []
-    out = [Finding(Level.WEAK, "clock", f"{camera}: {note}") for note in notes]
+    out = [Finding(Level.WEAK, "clock", f"{camera}: {note}", code="stamps") for note in notes]
     if lost:
         worst = int(gaps[np.argmax(steps[gaps])])
         share = lost / (len(times_s) + lost)
-        out.append(
-            Finding(
-                Level.WEAK if share > _MAX_DROPPED_SHARE else Level.NOTE,
-                "frames",
-                f"{camera}: {lost} frames dropped ({100 * share:.1f} %), the longest gap "
-                f"{steps[worst]:.3f} s after frame {frames[worst]} at {times_s[worst]:.3f} s",
-            )
+        text = Doubt(
+            "dropped-frames",
+            camera=camera,
+            lost=lost,
+            percent=100 * share,
+            gap_s=steps[worst],
+            frame=str(frames[worst]),
+            at=f"{times_s[worst]:.3f}",
         )
+        level = Level.WEAK if share > _MAX_DROPPED_SHARE else Level.NOTE
+        out.append(Finding(level, "frames", text))
     return out
 
 
@@ -283,10 +288,8 @@ def damage_findings(camera: str, frames: Sequence[int], count: int) -> list[Find
         return []
     named = listed([str(frame) for frame in frames])
     which = "frames" if len(frames) > 1 else "frame"
-    text = (
-        f"{camera}: {len(frames)} of {count} pictures are damaged ({which} {named}): a part is "
-        "missing; `measure run` leaves them out: copy them again from where they were recorded"
-    )
+    which, damaged = f"{which} {named}", len(frames)
+    text = Doubt("damaged-pictures", camera=camera, damaged=damaged, looked=count, which=which)
     return [Finding(Level.WRONG, "frames", text)]
 
 
@@ -416,15 +419,12 @@ class ColorCount:
 
     def findings(self) -> list[Finding]:
         """One line for each camera whose pictures have no colour."""
-        text = (
-            "{}: {} of {} pictures are grey: colours identify balls, so this camera sees none; "
-            "record in colour"
-        ).format
         grey = {name: count for name, count in self._colorless.items() if count}
-        return [
-            Finding(Level.WRONG, "colour", text(name, count, self._seen[name]))
+        texts = [
+            Doubt("grey-pictures", camera=name, grey=count, looked=self._seen[name])
             for name, count in grey.items()
         ]
+        return [Finding(Level.WRONG, "colour", text) for text in texts]
 
     def causes(self) -> list[Cause]:
         """The cameras whose colours drift, with the largest change."""

@@ -1,4 +1,4 @@
-"""Why a pose is missing or doubtful: a code with names and numbers, and the sentence they make."""
+"""Why a pose is missing or doubtful, or what a check finds: a code, names, numbers, a sentence."""
 
 from __future__ import annotations
 

@@ -57,7 +57,10 @@ class Provenance:
             profile=written.get("profile", {}),
             plugins=written.get("plugins", {}),
             notes=(
-                *(Finding(Level.NOTE, "frames", text) for text in of_session.get("notes", ())),
+                *(
+                    Finding(Level.NOTE, "frames", text, code="opened")
+                    for text in of_session.get("notes", ())
+                ),
                 *_RunSessionTable(findings=of_session.get("findings", [])).findings,
             ),
             session_name=of_session.get("name", ""),

@@ -194,10 +194,8 @@ def _idle(suspended: pa.Table, used: set[str]) -> Iterator[Finding]:
     question = "does its calibration fit, and does it see the body? "
     for name, reason in main.items():
         if used and name not in used:
-            text = (
-                f"camera {name} took part in no pose (its balls: {reason}): "
-                f"{'' if reason == Reason.NO_IMAGE else question}`measure check` says more"
-            )
+            asked = "" if reason == Reason.NO_IMAGE else question
+            text = Doubt("camera-unused", camera=name, reason=reason, asked=asked)
             yield Finding(Level.NOTE, "cameras", text, subject=name)
 
 

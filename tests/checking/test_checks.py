@@ -176,6 +176,7 @@ def test_dropped_frames_are_counted_and_placed():
     (finding,) = stamp_findings("cam0", kept / 30, kept)
     assert finding.level is Level.WEAK
     assert "4 frames dropped (4.0 %)" in finding.text
+    assert (finding.code, finding.text.values["lost"]) == ("dropped-frames", 4)
     assert "0.133 s after frame 39" in finding.text
 
 
