@@ -14,9 +14,9 @@ import tokenize
 from pathlib import Path
 
 BOUNDS = {
-    "code": 57_947,  # 42,000 is wanted
-    "core": 30_753,  # 23,000 is wanted
-    "tests": 44_066,  # lines of their files; 31,000 is wanted
+    "code": 57_727,  # 42,000 is wanted
+    "core": 30_602,  # 23,000 is wanted
+    "tests": 44_293,  # lines of their files; 31,000 is wanted
 }
 NO_CODE = {
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
