@@ -97,7 +97,7 @@ def test_tables_have_a_row_a_body_and_frame_set(run):
     relative = list(csv.DictReader((run / "relative.csv").read_text().splitlines()))
     assert {(r["body"], r["reference"]) for r in relative} == {("tool", "base")}
     assert [r["status"] for r in relative] == ["ok"] * (FRAMES - GONE) + [str(Status.LOST)] * GONE
-    assert relative[-1]["reason"].startswith("base lost")
+    assert relative[-1]["reason"].startswith("base: lost")
     truth = BASE_PLACE.inverse() @ TOOL_PLACE
     for r in relative[: FRAMES - GONE]:
         place = np.array([float(r[name]) for name in ("x_mm", "y_mm", "z_mm")])
