@@ -187,12 +187,13 @@ def _with_seldom_hidden_balls(body: Body, run: Run) -> tuple[Body, str]:
         raise ConfigError(f"{run.path}: no pose in it says where the cameras see the body")
     some = np.unique(np.linspace(0, len(poses) - 1, _POSES_LOOKED_AT).astype(int))
     views = [poses.world_from_body[int(k)] for k in some], body, run.cameras
-    now = f"balls are partly behind another one of the body in {hidden_share(*views):.0%} of views"
+    hidden = hidden_share(*views)
+    now = f"balls are partly behind another one of the body in {hidden:.0%} of views"
+    if hidden <= HIDDEN_SHARE:
+        return body, f"{now}: its arms are long enough"
     if longer := longer_arms(*views):
         return longer.body, f"{now}: {longer}"
-    if hidden_share(*views) > HIDDEN_SHARE:
-        raise ConfigError(f"{now}, and with arms three times as long hardly fewer: move cameras")
-    return body, f"{now}: its arms are long enough"
+    raise ConfigError(f"{now}, and with arms three times as long hardly fewer: move cameras")
 
 
 def shipped_targets() -> dict[str, Path]:

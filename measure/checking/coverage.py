@@ -96,12 +96,12 @@ class Arms(NamedTuple):
 
     body: Body
     times: float
-    hidden: tuple[float, float]  # share of views partly behind another ball, now and with them
+    hidden: float  # share of views partly behind another ball
     noise: Floats  # (2,) of position and of rotation, per that of now
 
     def __str__(self) -> str:
         return (
-            f"with arms {self.times:g} times as long it would be {self.hidden[1]:.0%}, and the "
+            f"with arms {self.times:g} times as long it would be {self.hidden:.0%}, and the "
             f"position {self.noise[0]:.2f} and the rotation {self.noise[1]:.2f} times as noisy "
             "(by geometry)"
         )
@@ -116,7 +116,7 @@ def hidden_share(poses: Sequence[RigidTransform], body: Body, cameras: Sequence[
 def longer_arms(
     poses: Sequence[RigidTransform], body: Body, cameras: Sequence[Camera]
 ) -> Arms | None:
-    """The shortest arms with which balls hide each other in few views; None if they do, or never.
+    """The shortest arms with which balls hide each other in few views; None if there are none.
 
     Balls move away from the body's origin where that is among them, else from their middle.
 
@@ -128,15 +128,13 @@ def longer_arms(
         each = [noise_sd(pose, one, cameras, 1.0, _BEHIND) for pose in poses]
         return np.asarray(np.median(each, axis=0))
 
-    if (now := hidden_share(poses, body, cameras)) <= HIDDEN_SHARE:
-        return None
     reach = np.linalg.norm(body.centers - body.middle, axis=1).max()
     pivot = np.zeros(3) if np.linalg.norm(body.middle) < reach else body.middle
     for times in _ARMS:
         one = body.with_centers(np.round(pivot + times * (body.centers - pivot), 1))
-        if (then := hidden_share(poses, one, cameras)) < HIDDEN_SHARE:
+        if (hidden := hidden_share(poses, one, cameras)) < HIDDEN_SHARE:
             ratio = noise(one) / noise(body)
-            return Arms(one, times, (now, then), ratio) if np.isfinite(ratio).all() else None
+            return Arms(one, times, hidden, ratio) if np.isfinite(ratio).all() else None
     return None
 
 
